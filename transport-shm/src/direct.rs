@@ -1,0 +1,132 @@
+//! Reading an owner's pages straight out of its memory file.
+
+use std::fs::File;
+use std::io;
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::os::unix::fs::FileExt;
+
+use dsm_core::home::{Answer, Home};
+use dsm_core::id::NodeId;
+use dsm_core::time::Instant;
+use dsm_core::transport::{Body, Received, SendError, Transport};
+use dsm_core::wire::{HEADER_BYTES, Message};
+use rustix::fs::{MemfdFlags, SealFlags, fcntl_add_seals, ftruncate, memfd_create};
+
+/// The memory file that holds an owner's home pages, in the order of their home index.
+///
+/// Vanishes with the last process that holds it open. It cannot be cut short, so it may be mapped safely.
+#[derive(Debug)]
+pub struct PageFile {
+    file: File,
+}
+
+/// One thread's way to the owners of this machine: it reads their memory files. No owner has to do anything.
+///
+/// It plays the part of each owner's [`Home`] itself, so requests are checked and counted as on any other transport.
+/// The file is read, not mapped: the pages of others never show up in this process's resident memory.
+#[derive(Debug)]
+pub struct DirectPort {
+    routes: Vec<Option<Route>>,
+    /// What the last request is to be answered with.
+    pending: Option<Pending>,
+    page: Vec<u8>,
+}
+
+#[derive(Debug)]
+struct Route {
+    home: Home,
+    pages: PageFile,
+}
+
+#[derive(Debug)]
+struct Pending {
+    owner: usize,
+    answer: Answer,
+}
+
+impl PageFile {
+    /// An empty file for `bytes` bytes of pages.
+    ///
+    /// # Errors
+    /// The system gave no memory file of that length.
+    pub fn create(bytes: u64) -> io::Result<Self> {
+        let file = memfd_create("memsavvy-pages", MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING)?;
+        ftruncate(&file, bytes)?;
+        fcntl_add_seals(&file, SealFlags::SHRINK | SealFlags::GROW | SealFlags::SEAL)?;
+        Ok(Self { file: File::from(file) })
+    }
+
+    /// The file, for filling it before anybody reads.
+    #[must_use]
+    pub const fn file(&self) -> &File {
+        &self.file
+    }
+
+    /// A second handle of the same file.
+    ///
+    /// # Errors
+    /// The process has no file descriptor left.
+    pub fn try_clone(&self) -> io::Result<Self> {
+        Ok(Self { file: self.file.try_clone()? })
+    }
+}
+
+impl From<OwnedFd> for PageFile {
+    fn from(file: OwnedFd) -> Self {
+        Self { file: File::from(file) }
+    }
+}
+
+impl AsFd for PageFile {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.file.as_fd()
+    }
+}
+
+impl DirectPort {
+    /// A port without routes, for pages of `page_bytes`.
+    #[must_use]
+    pub fn new(page_bytes: u32) -> Self {
+        Self { routes: Vec::new(), pending: None, page: vec![0; page_bytes as usize] }
+    }
+
+    /// Opens the way to `owner`, whose pages lie in `pages` and for whom `home` answers.
+    pub fn connect(&mut self, owner: NodeId, home: Home, pages: PageFile) {
+        if self.routes.len() <= owner.index() {
+            self.routes.resize_with(owner.index() + 1, || None);
+        }
+        self.routes[owner.index()] = Some(Route { home, pages });
+    }
+}
+
+impl Transport for DirectPort {
+    fn send(&mut self, to: NodeId, message: &[u8]) -> Result<(), SendError> {
+        let route = self.routes.get_mut(to.index()).and_then(Option::as_mut).ok_or(SendError::NoRoute(to))?;
+        let answer = route.home.handle_message(message).ok();
+        self.pending = answer.map(|answer| Pending { owner: to.index(), answer });
+        Ok(())
+    }
+
+    /// The answer is there at once or never: without one, returns before the deadline.
+    fn receive(&mut self, _deadline: Instant) -> Option<Received<'_>> {
+        let Pending { owner, answer } = self.pending.take()?;
+        let route = self.routes.get_mut(owner)?.as_mut()?;
+        let message = match answer {
+            Answer::Refuse { message } => message,
+            Answer::Grant { message, home_index } => {
+                let offset = u64::from(home_index) * self.page.len() as u64;
+                match route.pages.file.read_exact_at(&mut self.page, offset) {
+                    Ok(()) => return Some(received(&message, Body::new(&self.page))),
+                    Err(_) => route.home.handle_unreadable(&message),
+                }
+            }
+        };
+        Some(received(&message, Body::EMPTY))
+    }
+}
+
+fn received<'a>(message: &Message, body: Body<'a>) -> Received<'a> {
+    let mut header = [0; HEADER_BYTES];
+    message.emit(&mut header);
+    Received { header, body }
+}
