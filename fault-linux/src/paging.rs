@@ -1,0 +1,320 @@
+//! Pages coming and going: the state machine, the backend, and what connects them.
+//!
+//! Every step of a fault is a function here. It locks the state machine for as long as that thinks, gathers what it
+//! wants done, lets go of the lock and does it.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use dsm_core::id::{NodeId, PageId, PortId, SlotId};
+use dsm_core::node::{Config, ConfigError, EVICT_BATCH_MAX, Fault, Node, Output};
+use dsm_core::page_state::PageState;
+use dsm_core::replacement::{Policy, PolicyKind};
+use dsm_core::stats::NodeStats;
+use dsm_core::storage::{PageEntry, SlotEntry, Storage};
+use dsm_core::time::Instant;
+use dsm_core::transport::Body;
+use dsm_core::wire::HEADER_BYTES;
+
+use crate::area::Area;
+use crate::backend::{Backend, Record};
+use crate::failure::{PageFailure, Reason};
+use crate::lock::{Guard, Lock};
+use crate::sys::{self, Errno};
+use crate::words::{Ticket, Words};
+
+/// The part of a region through which pages come and go.
+#[derive(Debug)]
+pub(crate) struct Paging {
+    area: Area,
+    backend: Backend,
+    /// The home pages, for a backend that does not map them into the area.
+    home: Option<Area>,
+    config: Config,
+    policy: PolicyKind,
+    /// Declared, and so dropped, before the storage it works in.
+    node: Lock<Node<'static>>,
+    _storage: LentStorage,
+    words: Words,
+    failure: FailureCell,
+}
+
+/// What the state machine wants done.
+#[derive(Debug, Default)]
+pub(crate) struct Work<'a> {
+    /// A message to send, and to whom.
+    pub(crate) request: Option<(NodeId, [u8; HEADER_BYTES])>,
+    /// A page that arrived, and its slot.
+    pub(crate) to_fill: Option<(PageId, SlotId)>,
+    victims: heapless::Vec<(PageId, SlotId), { EVICT_BATCH_MAX as usize }>,
+    woken_pages: heapless::Vec<PageId, WOKEN_MAX>,
+    wakes_slots: bool,
+    ticket: Option<Ticket<'a>>,
+}
+
+/// Pages whose waiters one input can wake: a thread has one request under way.
+const WOKEN_MAX: usize = 4;
+
+/// The first failure, kept where every thread sees it without a lock.
+#[derive(Debug)]
+struct FailureCell {
+    is_set: AtomicU32,
+    first: Lock<Option<PageFailure>>,
+}
+
+/// Storage lent to a node that lives beside it.
+#[derive(Debug)]
+struct LentStorage {
+    pages: *mut [PageEntry],
+    slots: *mut [SlotEntry],
+}
+
+impl Paging {
+    /// Connects a backend that works on `area` with a state machine that has `slot_count` slots.
+    pub(crate) fn new(
+        area: Area,
+        backend: Backend,
+        home: Option<Area>,
+        config: Config,
+        slot_count: u32,
+        policy: (PolicyKind, u64),
+    ) -> Result<Self, ConfigError> {
+        let config = with_watermarks(config, slot_count);
+        let (storage, lent) = LentStorage::lend(config.placement.page_count(), slot_count);
+        let node = Node::new(config, storage, Policy::new(policy.0, policy.1))?;
+        Ok(Self {
+            area,
+            backend,
+            home,
+            config,
+            policy: policy.0,
+            node: Lock::new(node),
+            _storage: lent,
+            words: Words::new(),
+            failure: FailureCell { is_set: AtomicU32::new(0), first: Lock::new(None) },
+        })
+    }
+
+    pub(crate) const fn area(&self) -> &Area {
+        &self.area
+    }
+
+    pub(crate) const fn backend(&self) -> &Backend {
+        &self.backend
+    }
+
+    pub(crate) fn stats(&self) -> NodeStats {
+        self.node.lock().stats()
+    }
+
+    pub(crate) fn slot_count(&self) -> u32 {
+        self.node.lock().table().slot_count()
+    }
+
+    pub(crate) fn is_requested(&self, page: PageId) -> bool {
+        self.node.lock().table().state(page) == Some(PageState::Requested)
+    }
+
+    pub(crate) fn next_timeout(&self, port: PortId) -> Option<Instant> {
+        self.node.lock().next_timeout(port)
+    }
+
+    /// Tells the state machine of a fault: for the first time, or again by a thread that faulted `since` then.
+    pub(crate) fn fault(&self, page: PageId, port: PortId, since: Option<Instant>) -> (Fault, Work<'_>) {
+        let mut node = self.node.lock();
+        self.pass_on_touches(&mut node);
+        let now = sys::now();
+        let answer = match since {
+            None => node.handle_fault(now, page, port),
+            Some(since) => node.handle_fault_again(now, page, port, since),
+        };
+        // Under the lock, with the answer: what happens from now on changes the word.
+        let ticket = match answer {
+            Fault::Wait => Some(self.words.ticket_for_page(page)),
+            Fault::Full => Some(self.words.ticket_for_slot()),
+            Fault::Ready | Fault::Fetch | Fault::Failed(_) => None,
+        };
+        (answer, Work { ticket, ..self.finish(node) })
+    }
+
+    /// Passes a message on. It is counted and has no effect when it is not believed.
+    pub(crate) fn handle_message(&self, header: &[u8]) -> Work<'_> {
+        let mut node = self.node.lock();
+        let _ = node.handle_message(sys::now(), header);
+        self.finish(node)
+    }
+
+    /// Lets the requests of `port` know what time it is.
+    pub(crate) fn handle_timeout(&self, port: PortId) -> Work<'_> {
+        let mut node = self.node.lock();
+        node.handle_timeout(sys::now(), port);
+        self.finish(node)
+    }
+
+    /// Puts a page in place and tells the state machine.
+    pub(crate) fn fill(&self, page: PageId, slot: SlotId, body: Body<'_>) -> Result<(), PageFailure> {
+        let filled = self.backend.fill(&self.area, page, slot, body);
+        filled.map_err(|why| self.fail(page, Reason::System(why)))?;
+        let mut node = self.node.lock();
+        node.handle_filled(sys::now(), page);
+        self.finish(node);
+        Ok(())
+    }
+
+    /// Takes the victims away, tells the state machine, and says whether there were any.
+    pub(crate) fn evict(&self, work: &Work<'_>) -> Result<bool, PageFailure> {
+        let Some((first, _)) = work.victims.first() else { return Ok(false) };
+        let taken = self.backend.take_away(&self.area, &work.victims);
+        taken.map_err(|why| self.fail(*first, Reason::System(why)))?;
+        for (page, _) in &work.victims {
+            let mut node = self.node.lock();
+            node.handle_unmapped(sys::now(), *page);
+            self.finish(node);
+        }
+        Ok(true)
+    }
+
+    /// Makes a page that cannot be had readable as zeros, so that the load which waits for it can end.
+    pub(crate) fn give_zeros(&self, page: PageId) -> Result<(), Errno> {
+        self.backend.give_zeros(&self.area, page)
+    }
+
+    /// Remembers the first failure, lets every waiting thread find it, and gives it back.
+    pub(crate) fn fail(&self, page: PageId, reason: Reason) -> PageFailure {
+        let first = *self.failure.first.lock().get_or_insert(PageFailure { page, reason });
+        // Release: pairs with the Acquire in `check`.
+        self.failure.is_set.store(1, Ordering::Release);
+        self.words.wake_all();
+        first
+    }
+
+    /// The first failure, if there was one.
+    pub(crate) fn check(&self) -> Result<(), PageFailure> {
+        // Acquire: pairs with the Release in `fail`.
+        if self.failure.is_set.load(Ordering::Acquire) == 0 {
+            return Ok(());
+        }
+        self.failure.first.lock().map_or(Ok(()), Err)
+    }
+
+    /// With `soft`, the bytes `start..start + length` of `page`, or the page itself when it has to come first.
+    pub(crate) fn record(&self, page: PageId, start: usize, length: usize) -> Result<Record<'_>, PageId> {
+        let Backend::Soft(soft) = &self.backend else { return Err(page) };
+        if let Some(record) = soft.pin(page, start, length) {
+            return Ok(record);
+        }
+        match (&self.home, self.home_index(page)) {
+            (Some(home), Some(index)) => {
+                // SAFETY: inside a home page, by the caller's check. Home pages are mapped as long as `self` lives
+                // and never change; see the crate's safety contract.
+                let bytes =
+                    unsafe { core::slice::from_raw_parts(home.address(index).wrapping_add(start), length) };
+                Ok(Record::of_home(bytes))
+            }
+            _ => Err(page),
+        }
+    }
+
+    /// The place of `page` among this node's own, as a page of the home's area.
+    fn home_index(&self, page: PageId) -> Option<PageId> {
+        let Config { placement, me, .. } = &self.config;
+        (placement.home(page) == Some(*me)).then(|| placement.home_index(page).map(PageId)).flatten()
+    }
+
+    /// `clock` learns from `soft` which slots were used, when a victim is about to be chosen.
+    fn pass_on_touches(&self, node: &mut Node<'static>) {
+        let Backend::Soft(soft) = &self.backend else { return };
+        if self.policy == PolicyKind::Clock && node.table().free_count() == 0 {
+            for slot in soft.take_touched() {
+                if let Some(page) = node.table().page_in(slot) {
+                    node.handle_reference(page);
+                }
+            }
+        }
+    }
+
+    /// Gathers what one input has caused, lets go of the lock, and wakes whoever is to be woken.
+    fn finish(&self, mut node: Guard<'_, Node<'static>>) -> Work<'_> {
+        let work = Work::gather(&mut node);
+        drop(node);
+        work.woken_pages.iter().for_each(|page| self.words.wake_page(*page));
+        if work.wakes_slots {
+            self.words.wake_slots();
+        }
+        work
+    }
+}
+
+impl Work<'_> {
+    /// Sleeps until what the thread was told to wait for has happened, or for `timeout_us`.
+    pub(crate) fn wait(&self, timeout_us: u64) {
+        if let Some(ticket) = self.ticket {
+            ticket.wait(timeout_us);
+        }
+    }
+
+    fn gather(node: &mut Node<'static>) -> Self {
+        let mut work = Self::default();
+        let mut buffer = [0; HEADER_BYTES];
+        loop {
+            match node.poll(&mut buffer) {
+                Output::Idle(_) => return work,
+                Output::Transmit { to, .. } => work.request = Some((to, buffer)),
+                Output::Map { page, slot } => work.to_fill = Some((page, slot)),
+                Output::Unmap { page, slot } => {
+                    let pushed = work.victims.push((page, slot));
+                    debug_assert!(pushed.is_ok(), "a batch is bounded");
+                }
+                Output::WakePage { page } => {
+                    let pushed = work.woken_pages.push(page);
+                    debug_assert!(pushed.is_ok(), "a thread has one request under way");
+                }
+                Output::WakeSlots => work.wakes_slots = true,
+            }
+        }
+    }
+}
+
+impl LentStorage {
+    fn lend(page_count: u32, slot_count: u32) -> (Storage<'static>, Self) {
+        let pages = Box::into_raw(vec![PageEntry::EMPTY; page_count as usize].into_boxed_slice());
+        let slots = Box::into_raw(vec![SlotEntry::EMPTY; slot_count as usize].into_boxed_slice());
+        // SAFETY: just made, lent once, and given back by `drop` only after the node is gone.
+        let lent_pages = unsafe { &mut *pages };
+        // SAFETY: as above.
+        let lent_slots = unsafe { &mut *slots };
+        (Storage { pages: lent_pages, slots: lent_slots }, Self { pages, slots })
+    }
+}
+
+impl Drop for LentStorage {
+    fn drop(&mut self) {
+        // SAFETY: made by `Box::into_raw`; the node that borrowed it is a field declared before this one.
+        drop(unsafe { Box::from_raw(self.pages) });
+        // SAFETY: as above.
+        drop(unsafe { Box::from_raw(self.slots) });
+    }
+}
+
+// SAFETY: the pointers are only kept for `drop`, which any thread may do.
+unsafe impl Send for LentStorage {}
+// SAFETY: `&LentStorage` gives access to nothing.
+unsafe impl Sync for LentStorage {}
+
+/// Sets how many victims leave at a time, and how early.
+///
+/// A batch costs one shoot-down of other cores' address caches however many pages are in it; taking 16 to 32 at a
+/// time makes eviction several times cheaper with two threads. A small cache cannot spare the free slots.
+const fn with_watermarks(config: Config, slot_count: u32) -> Config {
+    const SLOTS_PER_VICTIM: u32 = 16;
+    const SLOTS_WORTH_EVICTING_AHEAD: u32 = 64;
+    let batch = slot_count / SLOTS_PER_VICTIM;
+    let evict_batch = if batch == 0 {
+        1
+    } else if batch > EVICT_BATCH_MAX {
+        EVICT_BATCH_MAX
+    } else {
+        batch
+    };
+    let evict_ahead = if slot_count < SLOTS_WORTH_EVICTING_AHEAD { 0 } else { evict_batch / 4 };
+    Config { evict_batch, evict_ahead, ..config }
+}
