@@ -65,6 +65,8 @@
 #![forbid(unsafe_code)]
 
 pub mod failure;
+#[cfg(any(test, fuzzing))]
+pub mod fuzzing;
 pub mod home;
 pub mod id;
 pub mod node;

@@ -84,6 +84,11 @@ impl Stripes {
         self.owner_count
     }
 
+    /// The nodes that own pages, in order. The last may own none, where there are fewer stripes than owners.
+    pub fn owner_ids(&self) -> impl ExactSizeIterator<Item = NodeId> + use<> {
+        (self.first_owner..self.first_owner + self.owner_count).map(NodeId)
+    }
+
     /// The home node of `page`, or `None` when there is no such page.
     #[inline]
     #[must_use]

@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::os::unix::fs::FileExt;
+use std::sync::Arc;
 
 use dsm_core::home::{Answer, Home};
 use dsm_core::id::NodeId;
@@ -11,6 +12,9 @@ use dsm_core::time::Instant;
 use dsm_core::transport::{Body, Received, SendError, Transport};
 use dsm_core::wire::{HEADER_BYTES, Message};
 use rustix::fs::{MemfdFlags, SealFlags, fcntl_add_seals, ftruncate, memfd_create};
+use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
+
+use crate::mapping::Mapping;
 
 /// The memory file that holds an owner's home pages, in the order of their home index.
 ///
@@ -32,10 +36,16 @@ pub struct DirectPort {
     page: Vec<u8>,
 }
 
+/// Pages that are resident; see [`PageFile::hold`].
+#[derive(Debug)]
+pub struct HeldPages {
+    _mapping: Option<Mapping>,
+}
+
 #[derive(Debug)]
 struct Route {
     home: Home,
-    pages: PageFile,
+    pages: Arc<PageFile>,
 }
 
 #[derive(Debug)]
@@ -52,8 +62,29 @@ impl PageFile {
     pub fn create(bytes: u64) -> io::Result<Self> {
         let file = memfd_create("memsavvy-pages", MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING)?;
         ftruncate(&file, bytes)?;
-        fcntl_add_seals(&file, SealFlags::SHRINK | SealFlags::GROW | SealFlags::SEAL)?;
+        fcntl_add_seals(&file, SealFlags::SHRINK | SealFlags::GROW)?;
         Ok(Self { file: File::from(file) })
+    }
+
+    /// Declares the pages final: from now on the kernel lets nobody write them, nor undo this.
+    ///
+    /// # Errors
+    /// Somebody has the file mapped for writing.
+    pub fn freeze(&self) -> io::Result<()> {
+        fcntl_add_seals(&self.file, SealFlags::WRITE | SealFlags::SEAL)?;
+        Ok(())
+    }
+
+    /// Counts the pages as this process's resident memory for as long as the answer lives.
+    ///
+    /// For an owner that reads its pages through the file alone: what it holds shows in what the system counts.
+    ///
+    /// # Errors
+    /// There is no address space for them.
+    pub fn hold(&self) -> io::Result<HeldPages> {
+        let length = usize::try_from(self.file.metadata()?.len()).map_err(|_| io::ErrorKind::OutOfMemory)?;
+        let mapping = if length > 0 { Some(Mapping::holding(self.as_fd(), length)?) } else { None };
+        Ok(HeldPages { _mapping: mapping })
     }
 
     /// The file, for filling it before anybody reads.
@@ -61,19 +92,17 @@ impl PageFile {
     pub const fn file(&self) -> &File {
         &self.file
     }
-
-    /// A second handle of the same file.
-    ///
-    /// # Errors
-    /// The process has no file descriptor left.
-    pub fn try_clone(&self) -> io::Result<Self> {
-        Ok(Self { file: self.file.try_clone()? })
-    }
 }
 
 impl From<OwnedFd> for PageFile {
     fn from(file: OwnedFd) -> Self {
         Self { file: File::from(file) }
+    }
+}
+
+impl From<PageFile> for OwnedFd {
+    fn from(pages: PageFile) -> Self {
+        pages.file.into()
     }
 }
 
@@ -91,7 +120,7 @@ impl DirectPort {
     }
 
     /// Opens the way to `owner`, whose pages lie in `pages` and for whom `home` answers.
-    pub fn connect(&mut self, owner: NodeId, home: Home, pages: PageFile) {
+    pub fn connect(&mut self, owner: NodeId, home: Home, pages: Arc<PageFile>) {
         if self.routes.len() <= owner.index() {
             self.routes.resize_with(owner.index() + 1, || None);
         }
@@ -107,9 +136,12 @@ impl Transport for DirectPort {
         Ok(())
     }
 
-    /// The answer is there at once or never: without one, returns before the deadline.
-    fn receive(&mut self, _deadline: Instant) -> Option<Received<'_>> {
-        let Pending { owner, answer } = self.pending.take()?;
+    /// The answer is there at once or never.
+    fn receive(&mut self, deadline: Instant) -> Option<Received<'_>> {
+        let Some(Pending { owner, answer }) = self.pending.take() else {
+            sleep_until(deadline);
+            return None;
+        };
         let route = self.routes.get_mut(owner)?.as_mut()?;
         let message = match answer {
             Answer::Refuse { message } => message,
@@ -129,4 +161,13 @@ fn received<'a>(message: &Message, body: Body<'a>) -> Received<'a> {
     let mut header = [0; HEADER_BYTES];
     message.emit(&mut header);
     Received { header, body }
+}
+
+/// Sleeps until a moment of `CLOCK_MONOTONIC`. Async-signal-safe: one system call.
+fn sleep_until(deadline: Instant) {
+    let micros = deadline.as_micros();
+    let tv_sec = i64::try_from(micros / 1_000_000).unwrap_or(i64::MAX);
+    let tv_nsec = i64::try_from(micros % 1_000_000 * 1000).unwrap_or(0);
+    // Interrupted is early, which the caller expects.
+    let _ = clock_nanosleep_absolute(ClockId::Monotonic, &Timespec { tv_sec, tv_nsec });
 }

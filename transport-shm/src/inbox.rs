@@ -137,6 +137,12 @@ impl Inbox {
     }
 }
 
+impl From<Inbox> for OwnedFd {
+    fn from(inbox: Inbox) -> Self {
+        inbox.file
+    }
+}
+
 impl AsFd for Inbox {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.file.as_fd()

@@ -44,7 +44,7 @@ mod server;
 #[cfg(not(loom))]
 pub use {
     clock::now,
-    direct::{DirectPort, PageFile},
+    direct::{DirectPort, HeldPages, PageFile},
     inbox::{ChannelId, Inbox, Layout, LayoutError},
     port::RingPort,
     server::Server,

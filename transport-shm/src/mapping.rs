@@ -29,6 +29,14 @@ impl Mapping {
         Ok(Self { start: start.cast(), length })
     }
 
+    /// Maps a whole file for reading, with every page present, only to keep it so.
+    pub(crate) fn holding(file: BorrowedFd<'_>, length: usize) -> io::Result<Self> {
+        let flags = MapFlags::SHARED | MapFlags::POPULATE;
+        // SAFETY: as in `new`.
+        let start = unsafe { mmap(ptr::null_mut(), length, ProtFlags::READ, flags, file, 0)? };
+        Ok(Self { start: start.cast(), length })
+    }
+
     /// A pointer to byte `offset`, behind which `length` bytes lie inside the mapping.
     ///
     /// # Panics

@@ -2,6 +2,7 @@
 
 use std::io;
 use std::os::fd::{AsFd, AsRawFd};
+use std::sync::Arc;
 
 use dsm_core::home::{Answer, Home};
 use dsm_core::time::Instant;
@@ -18,7 +19,7 @@ use crate::port::wait_for;
 #[derive(Debug)]
 pub struct Server {
     home: Home,
-    pages: PageFile,
+    pages: Arc<PageFile>,
     channels: Vec<ServerEnd>,
     /// The first page of the inbox, where this server's bell is.
     front: Mapping,
@@ -30,7 +31,13 @@ impl Server {
     ///
     /// # Errors
     /// The inbox cannot be mapped.
-    pub fn new(home: Home, pages: PageFile, inbox: &Inbox, layout: Layout, spin_us: u64) -> io::Result<Self> {
+    pub fn new(
+        home: Home,
+        pages: Arc<PageFile>,
+        inbox: &Inbox,
+        layout: Layout,
+        spin_us: u64,
+    ) -> io::Result<Self> {
         let channels = (0..layout.channel_count())
             .map(|channel| ServerEnd::open(inbox.as_fd(), layout, ChannelId(channel)))
             .collect::<io::Result<_>>()?;

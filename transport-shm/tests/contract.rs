@@ -3,6 +3,7 @@
 use core::sync::atomic::{AtomicBool, Ordering};
 use std::os::fd::AsFd;
 use std::os::unix::fs::FileExt;
+use std::sync::Arc;
 use std::thread;
 
 use dsm_core::home::Home;
@@ -26,13 +27,14 @@ fn home() -> Home {
 }
 
 /// The owner's pages 1, 3, 5, 7; every byte of one is its page number.
-fn pages() -> PageFile {
+fn pages() -> Arc<PageFile> {
     let pages = PageFile::create(4 * u64::from(PAGE_BYTES)).unwrap();
     for page in [1u8, 3, 5, 7] {
         let bytes = [page; PAGE_BYTES as usize];
         pages.file().write_all_at(&bytes, u64::from(page / 2) * u64::from(PAGE_BYTES)).unwrap();
     }
-    pages
+    pages.freeze().unwrap();
+    Arc::new(pages)
 }
 
 fn request(page: u32, number: u32) -> [u8; HEADER_BYTES] {
@@ -142,10 +144,17 @@ fn a_client_that_never_takes_its_answers_stops_nobody() {
 #[test]
 fn an_owner_whose_memory_is_too_short_refuses() {
     let mut port = DirectPort::new(PAGE_BYTES);
-    port.connect(OWNER, home(), PageFile::create(u64::from(PAGE_BYTES)).unwrap());
+    port.connect(OWNER, home(), Arc::new(PageFile::create(u64::from(PAGE_BYTES)).unwrap()));
     port.send(OWNER, &request(7, 1)).unwrap();
     let received = port.receive(now()).expect("an answer");
     assert_eq!(Message::parse(&received.header).unwrap().body, Body::Refusal(Refusal::Unreadable));
+}
+
+#[test]
+fn frozen_pages_cannot_be_written_by_anybody() {
+    let pages = pages();
+    assert!(pages.file().write_all_at(&[1], 0).is_err());
+    assert!(pages.file().set_len(0).is_err());
 }
 
 #[test]

@@ -46,7 +46,7 @@ impl Scene {
     }
 
     /// The pages of one owner, each full of the words that [`word`] gives.
-    pub(crate) fn page_file(&self, owner: NodeId) -> PageFile {
+    pub(crate) fn page_file(&self, owner: NodeId) -> Arc<PageFile> {
         let placement = self.config().placement;
         let bytes = u64::from(placement.home_pages(owner)) * u64::from(self.page_bytes);
         let file = PageFile::create(bytes).unwrap();
@@ -57,15 +57,16 @@ impl Scene {
             file.file().write_all_at(&words, offset).unwrap();
             offset += u64::from(self.page_bytes);
         }
-        file
+        file.freeze().unwrap();
+        Arc::new(file)
     }
 
     /// A way to the other owner, over its page file.
-    pub(crate) fn port(&self, pages: &PageFile) -> DirectPort {
+    pub(crate) fn port(&self, pages: &Arc<PageFile>) -> DirectPort {
         let config = self.config();
         let home = Home::new(OTHER, config.cluster, config.epoch, config.placement, self.page_bytes);
         let mut port = DirectPort::new(self.page_bytes);
-        port.connect(OTHER, home, pages.try_clone().unwrap());
+        port.connect(OTHER, home, pages.clone());
         port
     }
 
