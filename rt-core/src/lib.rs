@@ -1,0 +1,74 @@
+//! Ray tracing kernels over borrowed memory: rays, a multi-level grid, triangles, shading and tiles.
+//!
+//! The crate allocates nothing, does no input or output, knows no clock and keeps no globals. It reads a
+//! *scene image*, the bytes that `memsavvy prepare` writes, through one small trait, [`SceneMemory`]; where
+//! those bytes come from (a mapped file, pages fetched from other machines, an array in flash) is the
+//! caller's affair.
+//!
+//! # The path of a ray
+//! [`SceneView::new`] checks the header of an image once. [`SceneView::nearest`] brings a [`Ray`] into the
+//! image's own units ([`scale`]), walks the grid front to back ([`walk`]), tests the triangles of the
+//! clusters it meets ([`cluster`], [`triangle_woop`]) and answers with a [`Hit`]. [`render_tile`] does so for
+//! the rays of one tile of a [`Frame`], with a hard shadow each.
+//!
+//! # Same bits everywhere
+//! Whatever decides a result uses only `+ - * /` and `sqrt` in one stated order, without fused multiply-add,
+//! so every machine computes the same bits. Only culling uses vector types; it is conservative, and its
+//! decisions do not show in the result.
+//!
+//! # Bytes that lie
+//! An image whose checksums pass may still lie. Every index read from it is checked, the work of a ray is
+//! bounded by the counts in the header, and a lie ends the ray with [`Damaged`]. No input makes the crate
+//! panic, loop or read out of bounds.
+//!
+//! # Example
+//! ```
+//! use rt_core::{Flat, Ray, SceneView};
+//! # use scene::{BuildOptions, Mesh};
+//! # let positions = vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+//! # let mesh = Mesh { positions, triangles: vec![[0, 1, 2]] };
+//! # let bytes = scene::build(mesh, &BuildOptions::default(), &|_| {}).unwrap().to_bytes(4096).unwrap();
+//! let scene = SceneView::new(Flat::new(&bytes))?;
+//! let (origin, direction) = ([0.2, 0.2, 3.0].into(), [0.0, 0.0, -1.0].into());
+//! let ray = Ray { origin, direction, t_max: f32::INFINITY };
+//! let hit = scene.nearest(&ray, &mut ())?.expect("the ray meets the triangle");
+//! assert_eq!(hit.t, 3.0);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+#![no_std]
+#![deny(unsafe_code)]
+
+#[cfg(test)]
+extern crate std;
+
+#[cfg(target_endian = "big")]
+compile_error!("a scene image is little-endian and read in place; big-endian targets are not supported");
+
+pub mod brute;
+pub mod camera;
+pub mod cluster;
+mod count;
+mod frame;
+pub mod grid;
+pub mod grid_ray;
+pub mod image;
+mod memory;
+mod needs;
+mod ray;
+pub mod scale;
+pub mod schedule;
+pub mod shade;
+mod tile;
+pub mod triangle_woop;
+mod view;
+pub mod walk;
+
+pub use camera::{Camera, Orbit};
+pub use count::{Count, TileCounts, WorkCounts};
+pub use frame::{Frame, FrameError};
+pub use image::{Bounds, Header, HeaderError};
+pub use memory::{Flat, SceneMemory};
+pub use needs::SceneNeeds;
+pub use ray::{Hit, Primitive, Ray};
+pub use tile::{TILE_SIZE, Tile, TileId, Tiles, render_tile};
+pub use view::{Damaged, SceneView};

@@ -1,0 +1,69 @@
+//! How kernels reach the bytes of a scene image.
+
+use core::ops::Deref;
+
+/// Read access to the bytes of one scene image.
+///
+/// # Contract
+/// - The bytes of an image do not change while a view of it exists.
+/// - A *record* (a branch, a leaf, a cluster, one id) never crosses a page of the image, so an instance that
+///   holds pages apart needs to pin one page for one record.
+/// - Kernels copy small records out at once and hold the [`Record`](Self::Record) of one cluster while they
+///   test it; they never hold two.
+pub trait SceneMemory {
+    /// Bytes of one record; the page they lie on stays in place while this value lives.
+    type Record<'a>: Deref<Target = [u8]>
+    where
+        Self: 'a;
+
+    /// The bytes `offset..offset + length` of the image, or `None` when they do not lie inside it.
+    fn record(&self, offset: u64, length: usize) -> Option<Self::Record<'_>>;
+
+    /// Length of the image in bytes.
+    fn length(&self) -> u64;
+}
+
+/// An image that lies in one slice: mapped whole, or paged by hardware below the tracer.
+///
+/// A record costs a bounds check and plain loads.
+#[derive(Clone, Copy, Debug)]
+pub struct Flat<'a>(&'a [u8]);
+
+impl<'a> Flat<'a> {
+    /// Lends the bytes of an image.
+    pub const fn new(bytes: &'a [u8]) -> Self {
+        Self(bytes)
+    }
+}
+
+impl SceneMemory for Flat<'_> {
+    type Record<'b>
+        = &'b [u8]
+    where
+        Self: 'b;
+
+    #[inline]
+    fn record(&self, offset: u64, length: usize) -> Option<&[u8]> {
+        let start = usize::try_from(offset).ok()?;
+        self.0.get(start..start.checked_add(length)?)
+    }
+
+    fn length(&self) -> u64 {
+        self.0.len() as u64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Flat, SceneMemory};
+
+    #[test]
+    fn a_record_outside_the_image_is_none() {
+        let flat = Flat::new(&[1, 2, 3, 4]);
+        assert_eq!(flat.record(1, 3), Some(&[2, 3, 4][..]));
+        assert_eq!(flat.record(4, 0), Some(&[][..]));
+        assert_eq!(flat.record(2, 3), None);
+        assert_eq!(flat.record(u64::MAX, 1), None);
+        assert_eq!(flat.record(1, usize::MAX), None);
+    }
+}

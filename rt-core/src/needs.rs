@@ -1,0 +1,64 @@
+//! What a scene uses, so that nobody pays for the rest.
+
+use core::fmt;
+
+/// Set of the features that a scene image uses; a reader refuses an image with a bit that it does not know.
+///
+/// So far there are triangles only. Spheres, volumes, normals and several geometries take the next bits.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub struct SceneNeeds(u32);
+
+impl SceneNeeds {
+    /// Nothing at all.
+    pub const NONE: Self = Self(0);
+    /// Triangles in clusters.
+    pub const TRIANGLES: Self = Self(1);
+
+    /// Every feature that this build knows.
+    pub const KNOWN: Self = Self::TRIANGLES;
+
+    /// The set with these bits, or `None` when one of them is unknown.
+    pub const fn from_bits(bits: u32) -> Option<Self> {
+        if bits & !Self::KNOWN.0 == 0 { Some(Self(bits)) } else { None }
+    }
+
+    /// The set as written into an image.
+    pub const fn bits(self) -> u32 {
+        self.0
+    }
+
+    /// Whether all of `other` is in this set.
+    pub const fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// Both sets together.
+    #[must_use]
+    pub const fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+}
+
+impl fmt::Display for SceneNeeds {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if self.contains(Self::TRIANGLES) { "triangles" } else { "nothing" })
+    }
+}
+
+impl fmt::Debug for SceneNeeds {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "SceneNeeds({self})")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::SceneNeeds;
+
+    #[test]
+    fn an_unknown_bit_is_refused() {
+        assert_eq!(SceneNeeds::from_bits(1), Some(SceneNeeds::TRIANGLES));
+        assert_eq!(SceneNeeds::from_bits(1 << 31), None);
+        assert!(SceneNeeds::NONE.with(SceneNeeds::TRIANGLES).contains(SceneNeeds::TRIANGLES));
+    }
+}

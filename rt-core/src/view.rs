@@ -1,0 +1,159 @@
+//! A scene image that kernels may read: bytes with a checked header.
+
+use core::fmt;
+
+use crate::count::Count;
+use crate::grid::{BRANCH_BYTES, Branch, ClusterRef, LEAF_BYTES, Leaf};
+use crate::grid_ray::GridRay;
+use crate::image::{HEADER_BYTES, Header, HeaderError};
+use crate::memory::SceneMemory;
+use crate::ray::{Hit, Primitive, Ray};
+use crate::walk::walk;
+
+/// A scene image with a checked header: what kernels trace.
+///
+/// Cheap to share between threads, and `Copy`, when the memory is.
+#[derive(Clone, Copy, Debug)]
+pub struct SceneView<M> {
+    memory: M,
+    header: Header,
+}
+
+/// The segments of an image contradict its header or themselves, or a page could not be had. The ray was
+/// given up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Damaged {
+    /// A branch that does not exist or cannot be read.
+    Branch(u32),
+    /// A leaf that does not exist, cannot be read, or has impossible counts.
+    Leaf(u32),
+    /// A cluster that does not lie inside its segment or cannot be read.
+    Cluster {
+        /// Offset in the cluster segment.
+        offset: u64,
+    },
+    /// Branches below the last level.
+    Depth,
+    /// More branches or leaves on the way of one ray than the image has: a cycle.
+    Cycle,
+}
+
+impl<M: SceneMemory> SceneView<M> {
+    /// Reads and checks the header of the image in `memory`.
+    ///
+    /// # Errors
+    /// As [`Header::parse`]. The segments are not looked at; verify their checksums before trusting a file.
+    pub fn new(memory: M) -> Result<Self, HeaderError> {
+        let available = usize::try_from(memory.length()).unwrap_or(usize::MAX).min(HEADER_BYTES);
+        let truncated = HeaderError::Truncated { needed: HEADER_BYTES, got: available };
+        let header = Header::parse(&memory.record(0, available).ok_or(truncated)?, memory.length())?;
+        Ok(Self { memory, header })
+    }
+
+    /// The nearest hit of a ray, or `None` when it misses everything.
+    ///
+    /// The answer is that of testing every triangle of the image, whatever the ray; see [`walk`](crate::walk)
+    /// for why. Among triangles hit at the same `t` the one with the lowest corners wins, then the one with
+    /// the lowest place.
+    ///
+    /// # Errors
+    /// [`Damaged`] when the image lies or a page cannot be had.
+    #[inline]
+    pub fn nearest<C: Count>(&self, ray: &Ray, count: &mut C) -> Result<Option<Hit>, Damaged> {
+        let Some(ray) = GridRay::from_world(ray, &self.header) else { return Ok(None) };
+        Ok(ray.hit(&walk::<M, C, false>(self, &ray, count)?))
+    }
+
+    /// Whether a ray hits anything.
+    ///
+    /// # Errors
+    /// [`Damaged`] when the image lies or a page cannot be had.
+    #[inline]
+    pub fn any<C: Count>(&self, ray: &Ray, count: &mut C) -> Result<bool, Damaged> {
+        let Some(ray) = GridRay::from_world(ray, &self.header) else { return Ok(false) };
+        Ok(walk::<M, C, true>(self, &ray, count)?.triangle.is_some())
+    }
+
+    /// Number that a triangle had in the mesh, or `None` when there is no such primitive. Reads the ids
+    /// segment.
+    pub fn original_id(&self, Primitive(index): Primitive) -> Option<u32> {
+        if index >= self.header.primitives {
+            return None;
+        }
+        let record =
+            self.memory.record(self.header.segments.ids.offset.checked_add(u64::from(index) * 4)?, 4)?;
+        Some(u32::from_le_bytes((*record).try_into().ok()?))
+    }
+
+    /// The header of the image.
+    pub const fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// The memory that the image lies in.
+    pub const fn memory(&self) -> &M {
+        &self.memory
+    }
+
+    /// A copy of branch `index`.
+    ///
+    /// # Errors
+    /// [`Damaged::Branch`].
+    #[inline]
+    pub fn branch(&self, index: u32) -> Result<Branch, Damaged> {
+        let damaged = Damaged::Branch(index);
+        if index >= self.header.branches {
+            return Err(damaged);
+        }
+        let offset = self.header.segments.branches.offset + u64::from(index) * BRANCH_BYTES as u64;
+        let record = self.memory.record(offset, BRANCH_BYTES).ok_or(damaged)?;
+        bytemuck::try_pod_read_unaligned(&record).map_err(|_| damaged)
+    }
+
+    /// A copy of leaf `index`.
+    ///
+    /// # Errors
+    /// [`Damaged::Leaf`].
+    #[inline]
+    pub fn leaf(&self, index: u32) -> Result<Leaf, Damaged> {
+        let damaged = Damaged::Leaf(index);
+        if index >= self.header.leaves {
+            return Err(damaged);
+        }
+        let offset = self.header.segments.leaves.offset + u64::from(index) * LEAF_BYTES as u64;
+        let record = self.memory.record(offset, LEAF_BYTES).ok_or(damaged)?;
+        bytemuck::try_pod_read_unaligned(&record).map_err(|_| damaged)
+    }
+
+    /// The bytes of a cluster, for [`Cluster::new`](crate::cluster::Cluster::new).
+    ///
+    /// # Errors
+    /// [`Damaged::Cluster`].
+    #[inline]
+    pub fn cluster(&self, place: &ClusterRef) -> Result<M::Record<'_>, Damaged> {
+        let damaged = Damaged::Cluster { offset: place.offset };
+        let segment = &self.header.segments.clusters;
+        let length = crate::cluster::cluster_bytes(place.vertices, place.triangles);
+        if place.offset + length as u64 > segment.bytes {
+            return Err(damaged);
+        }
+        self.memory.record(segment.offset + place.offset, length).ok_or(damaged)
+    }
+}
+
+impl fmt::Display for Damaged {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Branch(index) => write!(f, "the scene image is damaged: branch {index} cannot be read"),
+            Self::Leaf(index) => write!(f, "the scene image is damaged: leaf {index} cannot be read"),
+            Self::Cluster { offset } => {
+                write!(f, "the scene image is damaged: cluster at {offset} cannot be read")
+            }
+            Self::Depth => write!(f, "the scene image is damaged: branches below the last level"),
+            Self::Cycle => write!(f, "the scene image is damaged: a ray met more records than there are"),
+        }
+    }
+}
+
+impl core::error::Error for Damaged {}

@@ -1,0 +1,68 @@
+//! Why a mesh cannot be built.
+
+use core::fmt;
+
+/// Why no grid can be built over a mesh.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum BuildError {
+    /// There are no triangles.
+    NoTriangles,
+    /// Every triangle has two corners at the same point, so no ray can hit anything.
+    AllCollapsed {
+        /// Number of triangles.
+        triangles: usize,
+    },
+    /// A triangle names a vertex that does not exist.
+    NoSuchVertex {
+        /// Number of the triangle, from 0.
+        triangle: usize,
+        /// The vertex it names.
+        vertex: u32,
+        /// Number of vertices there are.
+        vertices: usize,
+    },
+    /// A coordinate is NaN or infinite.
+    NotFinite {
+        /// Number of the vertex, from 0.
+        vertex: usize,
+    },
+    /// The largest coordinate is beyond what the image can scale: above 2^100 or below 2^-100.
+    OutOfRange {
+        /// The largest absolute coordinate.
+        largest: f32,
+    },
+    /// More triangles than 32-bit numbers can name.
+    TooManyTriangles {
+        /// Number of triangles, copies in several cells included.
+        count: u64,
+    },
+}
+
+impl fmt::Display for BuildError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoTriangles => write!(f, "the mesh has no triangles, so there is nothing to render"),
+            Self::AllCollapsed { triangles } => {
+                write!(
+                    f,
+                    "none of the {triangles} triangles has an area: each has two corners at the same point"
+                )
+            }
+            Self::NoSuchVertex { triangle, vertex, vertices } => {
+                write!(f, "triangle {triangle} names vertex {vertex}, but there are only {vertices}")
+            }
+            Self::NotFinite { vertex } => {
+                write!(f, "vertex {vertex} has a coordinate that is not a finite number")
+            }
+            Self::OutOfRange { largest } => {
+                write!(f, "the largest coordinate is {largest:e}; scale the mesh to between 1e-30 and 1e30")
+            }
+            Self::TooManyTriangles { count } => {
+                write!(f, "{count} triangles are more than an image can number")
+            }
+        }
+    }
+}
+
+impl core::error::Error for BuildError {}

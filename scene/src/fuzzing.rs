@@ -1,0 +1,69 @@
+//! Entry points for fuzzers: arbitrary bytes in, no panic and no hang out.
+
+use std::sync::OnceLock;
+
+use rt_core::image::HEADER_BYTES;
+use rt_core::{Flat, Ray, SceneView};
+use xxhash_rust::xxh3::xxh3_64;
+
+use crate::build::{BuildOptions, build};
+use crate::builtin;
+
+/// Takes a good image, writes lies into it, makes its header's checksum right again, and traces some rays through it.
+///
+/// Every four bytes of `lies` are one: where (three bytes, modulo the image's length) and what. Random bytes hardly ever
+/// are an image; this gets past the door.
+pub fn lying_image(lies: &[u8]) {
+    static GOOD: OnceLock<Vec<u8>> = OnceLock::new();
+    let good = GOOD.get_or_init(|| {
+        let scene = build(builtin::knot(2000), &BuildOptions::default(), &|_| {});
+        scene.ok().and_then(|scene| scene.to_bytes(4096).ok()).unwrap_or_default()
+    });
+    let mut bytes = good.clone();
+    for lie in lies.chunks_exact(4) {
+        let place = u32::from_le_bytes([lie[0], lie[1], lie[2], 0]) as usize % bytes.len();
+        bytes[place] = lie[3];
+    }
+    // The checksum is the last word of the header, over all that is before it.
+    let (header, checksum) = bytes[..HEADER_BYTES].split_at_mut(HEADER_BYTES - size_of::<u64>());
+    checksum.copy_from_slice(&xxh3_64(header).to_le_bytes());
+    image(&bytes);
+}
+
+/// Takes arbitrary bytes as a scene image and traces some rays through it, checksums of segments ignored.
+pub fn image(bytes: &[u8]) {
+    let Ok(scene) = SceneView::new(Flat::new(bytes)) else { return };
+    let bounds = scene.header().bounds;
+    let middle = (bounds.low + bounds.high) * 0.5;
+    let size = bounds.high - bounds.low;
+    for ray in 0..16_u16 {
+        let towards = |bit: u16| if ray >> bit & 1 == 0 { 1.0 } else { -0.37 };
+        let direction = glam::Vec3::new(towards(0), towards(1), towards(2)) * size;
+        let origin = if ray >> 3 == 0 { middle - direction * 3.0 } else { middle };
+        let ray = Ray { origin, direction, t_max: f32::INFINITY };
+        let nearest = scene.nearest(&ray, &mut ());
+        let any = scene.any(&ray, &mut ());
+        if let (Ok(nearest), Ok(any)) = (nearest, any) {
+            // Holds for any bytes: both walks read the same records until something is hit.
+            assert!(any || nearest.is_none(), "any hit misses what nearest hit finds");
+        }
+        if let Ok(Some(hit)) = nearest {
+            let _ = scene.original_id(hit.primitive);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn lies_do_no_harm_and_without_any_the_image_is_good() {
+        super::lying_image(&[]);
+        for seed in 0..2000_u32 {
+            let byte = |index: u32| {
+                (seed.wrapping_mul(2_654_435_761).wrapping_add(index * 40_503) >> 9).to_le_bytes()[0]
+            };
+            let lies: Vec<u8> = (0..4 * (1 + seed % 20)).map(|index| byte(index ^ seed)).collect();
+            super::lying_image(&lies);
+        }
+    }
+}
