@@ -1,0 +1,374 @@
+//! `memsavvy render`, `prepare`, `info`: flags, help, errors.
+
+use core::num::NonZeroU16;
+use core::time::Duration;
+use std::ffi::OsString;
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Context, Result, bail};
+use clap::builder::styling::{AnsiColor, Styles};
+use clap::{Args, Parser, Subcommand};
+use dsm_core::replacement::PolicyKind;
+use fault_linux::BackendKind;
+use rt_core::image::{PAGE_BYTES_MAX, PAGE_BYTES_MIN};
+use scene::{BuildOptions, Info, SceneFile};
+
+use crate::control::TransportKind;
+use crate::output::{Destination, check_folder_of, write_whole};
+use crate::progress::StageBar;
+use crate::report::{RunReport, thousands};
+use crate::run::{Options, Source, run};
+use crate::scene_source::PAGE_BYTES_DEFAULT;
+use crate::size::{Bytes, Memory, PictureSize};
+
+/// Renders scenes larger than one machine's memory.
+///
+/// The scene lies in one address range; each node owns some pages and caches others. A render thread just reads, and a
+/// page fault fetches what is absent from its owner, in that very thread.
+#[derive(Debug, Parser)]
+#[command(name = "memsavvy", version, styles = STYLES, after_help = "\
+Without a subcommand: renders a built-in scene of 600,000 triangles on four local nodes, none of which may hold more
+than 40 % of it, and writes memsavvy.png.
+
+Examples:
+  memsavvy
+  memsavvy render dragon.ply -o dragon.png
+  memsavvy prepare dragon.ply -o dragon.msv
+  memsavvy info dragon.msv")]
+struct CommandLine {
+    #[command(subcommand)]
+    command: Option<Command>,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Render(Box<Render>),
+    Prepare(Prepare),
+    Info(ShowInfo),
+}
+
+/// Renders a mesh or a scene image on a cluster of local processes
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  memsavvy render bunny.ply -o bunny.png
+  memsavvy render dragon.msv -o orbit-%03d.png --frames 36 --radius 0.75
+  memsavvy render dragon.msv --nodes 2 --stores 2 --memory 16% --report run.json
+  memsavvy render dragon.msv --nodes 4 --memory 5M --page 4K --backend segv --policy fifo")]
+struct Render {
+    /// A mesh (PLY, OBJ) or a scene image made by `memsavvy prepare`
+    scene: PathBuf,
+    #[command(flatten)]
+    output: Output,
+    #[command(flatten)]
+    cluster: Cluster,
+    #[command(flatten)]
+    view: View,
+}
+
+/// Where results go.
+#[derive(Debug, Args)]
+struct Output {
+    /// The picture to write, PNG: the last frame, or each with a pattern like out-%03d.png
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<String>,
+    /// Write the run report as JSON
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+    /// Print nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+/// Who renders, and what each may hold.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Cluster")]
+struct Cluster {
+    /// Processes that render
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    nodes: u16,
+    /// Further processes that hold all pages and render nothing; then a node's whole memory is cache
+    #[arg(long, value_name = "M", default_value_t = 0)]
+    stores: u16,
+    /// Render threads of each node [default: cores / nodes, at least 1]
+    #[arg(long, value_name = "T")]
+    threads: Option<NonZeroU16>,
+    /// What one node may hold, home pages and cache together: a share of the image or a size, as in 40% or 64M
+    /// [default: its home pages and 15 % besides]
+    #[arg(long, value_name = "SIZE")]
+    memory: Option<Memory>,
+    /// Page size: a power of two from 4K to 2M [default: 16K, or what the image was prepared for]
+    #[arg(long, value_name = "SIZE", value_parser = page_bytes)]
+    page: Option<u32>,
+    /// How pages appear: auto, uffd, segv, soft or replicated
+    #[arg(long, value_name = "NAME", default_value = "auto", value_parser = backend)]
+    backend: Backend,
+    /// Which page leaves for another: random, fifo or clock
+    #[arg(long, value_name = "NAME", default_value_t = PolicyKind::Random)]
+    policy: PolicyKind,
+    /// How pages travel between the processes
+    #[arg(long, value_name = "NAME", value_enum, default_value_t = TransportKind::Shm)]
+    transport: TransportKind,
+    /// Seconds after which a fault that nobody serves, or a process that says nothing, ends the run
+    #[arg(long, value_name = "SECONDS", default_value = "5", value_parser = seconds)]
+    deadline: Duration,
+    /// Lose this many of a thousand messages, for tests
+    #[arg(long, value_name = "N", default_value_t = 0, hide = true, value_parser = clap::value_parser!(u32).range(0..1000))]
+    lose: u32,
+    /// Makes what is random repeatable
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+}
+
+/// What is looked at.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "View")]
+struct View {
+    /// Picture size in pixels
+    #[arg(long, value_name = "WxH", default_value = "512x512")]
+    size: PictureSize,
+    /// Frames; more than one make an orbit
+    #[arg(long, value_name = "F", default_value_t = 1)]
+    frames: u32,
+    /// Distance of the eye from the middle of the scene, in diagonals of the scene
+    #[arg(long, value_name = "R", default_value_t = 1.5)]
+    radius: f32,
+}
+
+/// Builds the grid over a mesh and writes a scene image
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  memsavvy prepare dragon.ply -o dragon.msv
+  memsavvy prepare scan.obj -o scan.msv --page 64K
+  memsavvy prepare --builtin 5000000 -o knot.msv")]
+struct Prepare {
+    /// A mesh: PLY (ascii or binary) or OBJ
+    #[arg(required_unless_present = "builtin")]
+    mesh: Option<PathBuf>,
+    /// The scene image to write
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// The smallest page that the image may be used with; a power of two from 4K to 2M
+    #[arg(long, value_name = "SIZE", default_value = "16K", value_parser = page_bytes)]
+    page: u32,
+    /// Take the built-in knot with at least this many triangles instead of a mesh
+    #[arg(long, value_name = "TRIANGLES", conflicts_with = "mesh")]
+    builtin: Option<usize>,
+    /// Print nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+/// Shows what is in a scene image
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  memsavvy info dragon.msv")]
+struct ShowInfo {
+    /// A scene image made by `memsavvy prepare`
+    scene: PathBuf,
+}
+
+/// A backend by name, or the best that there is.
+#[derive(Clone, Copy, Debug)]
+struct Backend(Option<BackendKind>);
+
+const STYLES: Styles = Styles::styled()
+    .header(AnsiColor::Green.on_default().bold())
+    .usage(AnsiColor::Green.on_default().bold())
+    .literal(AnsiColor::Cyan.on_default().bold())
+    .placeholder(AnsiColor::Cyan.on_default());
+
+/// Runs the command line of this process. What goes wrong is told in one line.
+#[must_use]
+pub fn main() -> ExitCode {
+    if let Some(code) = crate::run_as_node_if_asked() {
+        return code;
+    }
+    let typed: Vec<OsString> = std::env::args_os().collect();
+    let command = typed.iter().map(|word| word.to_string_lossy().into_owned()).collect();
+    match CommandLine::parse_from(typed).run(command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {}", one_line(&format!("{error:#}")));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+impl CommandLine {
+    fn run(self, command: Vec<String>) -> Result<()> {
+        match self.command {
+            None => render_built_in(command),
+            Some(Command::Render(render)) => render.run(command),
+            Some(Command::Prepare(prepare)) => prepare.run(),
+            Some(Command::Info(info)) => info.run(),
+        }
+    }
+}
+
+/// The main job: the built-in scene on four nodes, each allowed 40 % of it.
+fn render_built_in(command: Vec<String>) -> Result<()> {
+    let options = Options { memory: Some(Memory::Share(0.4)), frames: 8, command, ..Options::default() };
+    let report = render(&options, Some("memsavvy.png"))?;
+    print(&format!("{report}\nwrote memsavvy.png"))
+}
+
+impl Render {
+    fn run(self, command: Vec<String>) -> Result<()> {
+        let Self { scene, output, cluster, view } = self;
+        let options = Options {
+            source: Source::Path(scene),
+            nodes: cluster.nodes,
+            stores: cluster.stores,
+            threads: cluster.threads,
+            memory: cluster.memory,
+            page_bytes: cluster.page,
+            backend: cluster.backend.0,
+            policy: cluster.policy,
+            transport: cluster.transport,
+            size: view.size,
+            frames: view.frames,
+            radius: view.radius,
+            deadline: cluster.deadline,
+            lose_per_mille: cluster.lose,
+            seed: cluster.seed,
+            quiet: output.quiet,
+            command,
+        };
+        output.report.as_deref().map_or(Ok(()), check_folder_of)?;
+        let report = render(&options, output.output.as_deref())?;
+        if let Some(path) = &output.report {
+            write_whole(path, |file| Ok(serde_json::to_writer_pretty(file, &report)?))?;
+        }
+        if output.quiet { Ok(()) } else { print(&report.to_string()) }
+    }
+}
+
+/// Runs and writes the pictures.
+fn render(options: &Options, output: Option<&str>) -> Result<RunReport> {
+    let destination = output.map(Destination::parse).transpose()?;
+    let last = destination
+        .as_ref()
+        .and_then(|destination| destination.path(options.frames.saturating_sub(1), options.frames));
+    last.map_or(Ok(()), |path| check_folder_of(&path))?;
+    run(options, |frame, picture| {
+        let path = destination.as_ref().and_then(|destination| destination.path(frame, options.frames));
+        path.map_or(Ok(()), |path| picture.write(&path))
+    })
+}
+
+impl Prepare {
+    fn run(self) -> Result<()> {
+        check_folder_of(&self.output)?;
+        let (name, mesh) = match (&self.mesh, self.builtin) {
+            (_, Some(triangles)) => ("the built-in knot".to_owned(), scene::builtin::knot(triangles)),
+            (Some(path), None) => {
+                let name = path.display().to_string();
+                if SceneFile::is_one(path).with_context(|| format!("cannot read {name}"))? {
+                    bail!("{name} is a scene image already");
+                }
+                let mesh = scene::read_mesh(path).with_context(|| format!("cannot read {name}"))?;
+                (name, mesh)
+            }
+            (None, None) => bail!("no mesh was given"),
+        };
+        let bar = StageBar::new(self.quiet);
+        let start = std::time::Instant::now();
+        let built = scene::build(mesh, &BuildOptions::default(), &|progress| bar.show(progress))
+            .with_context(|| format!("cannot use {name}"))?;
+        let seconds = start.elapsed().as_secs_f64();
+        let info = write_whole(&self.output, |file| {
+            Ok(Info::from(&built.write(self.page, file, &|progress| bar.show(progress))?))
+        })?;
+        drop(bar);
+        if self.quiet {
+            return Ok(());
+        }
+        print(&format!(
+            "{}: {} triangles, {}, {:.1} bytes a triangle; built in {seconds:.2} s, {:.2} M triangles a second",
+            self.output.display(),
+            thousands(info.triangles),
+            Bytes(info.image_bytes),
+            info.bytes_per_triangle,
+            info.triangles as f64 / seconds / 1e6,
+        ))
+    }
+}
+
+impl ShowInfo {
+    fn run(&self) -> Result<()> {
+        let name = self.scene.display();
+        if !SceneFile::is_one(&self.scene).with_context(|| format!("cannot read {name}"))? {
+            bail!("{name} is no scene image; make one with `memsavvy prepare {name} -o scene.msv`");
+        }
+        let file = SceneFile::open(&self.scene).with_context(|| format!("cannot use {name}"))?;
+        print(&describe(&file.info()))
+    }
+}
+
+/// What is in a scene image, one fact a line.
+fn describe(info: &Info) -> String {
+    let percent = |part: u64| 100.0 * part as f64 / info.image_bytes.max(1) as f64;
+    let mut lines = vec![
+        ("uses", info.needs.to_string()),
+        ("triangles", thousands(info.triangles)),
+        ("never hit", format!("{} with two corners in one point", thousands(info.collapsed))),
+        ("vertices", thousands(info.vertices)),
+        ("bounds", format!("{} to {}", info.bounds.low, info.bounds.high)),
+        ("typical edge", format!("{}", info.typical_edge)),
+        ("image", Bytes(info.image_bytes).to_string()),
+        ("pages", format!("{} of {}", thousands(info.pages), Bytes(info.page_bytes.into()))),
+        ("a triangle", format!("{:.2} bytes", info.bytes_per_triangle)),
+        ("copies", format!("{:.3} stored for each triangle", info.duplication)),
+        ("levels", info.levels.to_string()),
+        ("branches", thousands(info.branches.into())),
+        ("leaves", thousands(info.leaves.into())),
+        (
+            "clusters",
+            format!("{} of {:.1} triangles", thousands(info.clusters.into()), info.triangles_per_cluster),
+        ),
+    ];
+    lines.extend(info.segments.map(|(kind, bytes)| {
+        ("", format!("{:8} {:>9} {:5.1} %", kind.to_string(), Bytes(bytes).to_string(), percent(bytes)))
+    }));
+    lines.iter().map(|(what, value)| format!("{what:>12}  {value}")).collect::<Vec<_>>().join("\n")
+}
+
+fn page_bytes(text: &str) -> Result<u32> {
+    let Bytes(bytes) = text.parse()?;
+    match u32::try_from(bytes) {
+        Ok(bytes) if bytes.is_power_of_two() && (PAGE_BYTES_MIN..=PAGE_BYTES_MAX).contains(&bytes) => {
+            Ok(bytes)
+        }
+        _ => bail!("a page is a power of two from 4K to 2M, as in {}", Bytes(PAGE_BYTES_DEFAULT.into())),
+    }
+}
+
+fn backend(name: &str) -> Result<Backend> {
+    Ok(Backend(if name == "auto" { None } else { Some(name.parse()?) }))
+}
+
+fn seconds(text: &str) -> Result<Duration> {
+    let seconds: f64 = text
+        .parse()
+        .ok()
+        .filter(|seconds| (0.001..=86_400.0).contains(seconds))
+        .context("expected seconds from 0.001 to 86400")?;
+    Ok(Duration::from_secs_f64(seconds))
+}
+
+/// Prints to standard output. That nobody reads it any more, as with `| head`, is no error.
+fn print(text: &str) -> Result<()> {
+    match writeln!(std::io::stdout(), "{text}") {
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        other => Ok(other?),
+    }
+}
+
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,294 @@
+//! What the supervisor and its processes say to each other.
+//!
+//! A packet is one letter and what belongs to it: JSON where people may want to look, bytes where there are many.
+
+use anyhow::{Context, Result, bail};
+use rt_core::{Frame, Tile, TileCounts, TileId, Tiles};
+use serde::{Deserialize, Serialize};
+
+use crate::link::PACKET_BYTES_MAX;
+use crate::plan::PlacementNumbers;
+use crate::report::ProcessReport;
+
+/// From the supervisor to a process.
+#[derive(Debug)]
+pub(crate) enum Order {
+    /// Who you are. Comes first, with the files listed in [`Files`].
+    SetUp(Box<SetUp>),
+    /// Every page is in place; you may fetch from others.
+    Go,
+    /// Draw your tiles of this frame.
+    Draw(Frame),
+    /// Report and end.
+    Stop,
+}
+
+/// From a process to the supervisor.
+#[derive(Debug)]
+pub(crate) enum News {
+    /// Home pages are filled.
+    Ready,
+    /// Nothing has happened, and I am here.
+    Alive,
+    /// Some tiles of a frame.
+    Tiles(TileBatch),
+    /// All of this process's tiles of a frame are sent.
+    Drawn(Drawn),
+    /// I have to give up.
+    Failed(String),
+    /// What I have counted; the last packet.
+    Report(Box<ProcessReport>),
+}
+
+/// What a process must know before it starts.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct SetUp {
+    pub(crate) node: u16,
+    pub(crate) nodes: u16,
+    pub(crate) processes: u16,
+    pub(crate) cluster: u64,
+    pub(crate) placement: PlacementNumbers,
+    pub(crate) page_bytes: u32,
+    pub(crate) image_bytes: u64,
+    pub(crate) budget_bytes: u64,
+    pub(crate) slots: u32,
+    pub(crate) threads: u16,
+    pub(crate) backend: String,
+    pub(crate) policy: String,
+    pub(crate) transport: TransportKind,
+    pub(crate) spin_us: u64,
+    pub(crate) deadline_us: u64,
+    /// Messages lost on purpose, in a thousand, and the seed of which.
+    pub(crate) lose_per_mille: u32,
+    pub(crate) seed: u64,
+}
+
+/// How pages travel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum TransportKind {
+    /// Shared memory, read straight out of the owner's; no server has to answer.
+    Shm,
+    /// Shared memory, through rings and the owner's server thread, as between machines.
+    ShmRing,
+}
+
+/// The order of the files that come with [`Order::SetUp`]: the image, the pages of each owner, the inboxes of each.
+#[derive(Debug)]
+pub(crate) struct Files<T> {
+    pub(crate) image: T,
+    pub(crate) pages: Vec<T>,
+    pub(crate) inboxes: Vec<T>,
+}
+
+/// Tiles of one frame, packed into a packet.
+#[derive(Debug)]
+pub(crate) struct TileBatch {
+    frame: u32,
+    bytes: Vec<u8>,
+}
+
+/// What one render thread counted in one frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Drawn {
+    pub(crate) frame: u32,
+    pub(crate) primary_rays: u64,
+    pub(crate) hits: u64,
+    pub(crate) shadow_rays: u64,
+    pub(crate) lit: u64,
+    pub(crate) damaged: u64,
+}
+
+impl Order {
+    pub(crate) fn to_packet(&self) -> Result<Vec<u8>> {
+        Ok(match self {
+            Self::SetUp(set_up) => with_json(b'S', set_up)?,
+            Self::Go => vec![b'G'],
+            Self::Draw(frame) => [b"D", frame.as_bytes()].concat(),
+            Self::Stop => vec![b'X'],
+        })
+    }
+
+    pub(crate) fn from_packet(packet: &[u8]) -> Result<Self> {
+        match packet {
+            [b'S', json @ ..] => Ok(Self::SetUp(serde_json::from_slice(json)?)),
+            [b'G'] => Ok(Self::Go),
+            [b'D', frame @ ..] => Ok(Self::Draw(Frame::read(frame)?)),
+            [b'X'] => Ok(Self::Stop),
+            _ => bail!("an order of {} bytes that is none", packet.len()),
+        }
+    }
+}
+
+impl News {
+    pub(crate) fn to_packet(&self) -> Result<Vec<u8>> {
+        Ok(match self {
+            Self::Ready => vec![b'R'],
+            Self::Alive => vec![b'A'],
+            Self::Tiles(batch) => batch.to_packet(),
+            Self::Drawn(drawn) => with_json(b'D', drawn)?,
+            Self::Failed(why) => [b"F", why.as_bytes()].concat(),
+            Self::Report(report) => with_json(b'P', report)?,
+        })
+    }
+
+    pub(crate) fn from_packet(packet: &[u8]) -> Result<Self> {
+        match packet {
+            [b'R'] => Ok(Self::Ready),
+            [b'A'] => Ok(Self::Alive),
+            [b'T', f0, f1, f2, f3, tiles @ ..] => Ok(Self::Tiles(TileBatch {
+                frame: u32::from_le_bytes([*f0, *f1, *f2, *f3]),
+                bytes: tiles.to_vec(),
+            })),
+            [b'D', json @ ..] => Ok(Self::Drawn(serde_json::from_slice(json)?)),
+            [b'F', why @ ..] => Ok(Self::Failed(String::from_utf8_lossy(why).into_owned())),
+            [b'P', json @ ..] => Ok(Self::Report(serde_json::from_slice(json)?)),
+            _ => bail!("news of {} bytes that is none", packet.len()),
+        }
+    }
+}
+
+impl<T> Files<T> {
+    /// All of them, in the order in which they travel.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = &T> {
+        core::iter::once(&self.image).chain(&self.pages).chain(&self.inboxes)
+    }
+
+    /// Sorts what came with the plan into its places.
+    pub(crate) fn from_list(list: Vec<T>, owners: usize, transport: TransportKind) -> Result<Self> {
+        let inboxes = if transport == TransportKind::ShmRing { owners } else { 0 };
+        let got = list.len();
+        let mut list = list.into_iter();
+        let image = list.next().context("the image did not come with the plan")?;
+        let pages: Vec<T> = list.by_ref().take(owners).collect();
+        let inboxes: Vec<T> = list.by_ref().take(inboxes).collect();
+        if pages.len() != owners || list.next().is_some() {
+            bail!("{got} files came with a plan for {owners} owners");
+        }
+        Ok(Self { image, pages, inboxes })
+    }
+}
+
+impl TileBatch {
+    /// An empty batch for a frame.
+    pub(crate) const fn new(frame: u32) -> Self {
+        Self { frame, bytes: Vec::new() }
+    }
+
+    /// Adds a tile, unless the packet would become too large.
+    pub(crate) fn push(&mut self, TileId(id): TileId, pixels: &[u8]) -> bool {
+        const HEADER: usize = 1 + 4;
+        if HEADER + self.bytes.len() + size_of::<u32>() + pixels.len() > PACKET_BYTES_MAX {
+            return false;
+        }
+        self.bytes.extend(id.to_le_bytes());
+        self.bytes.extend(pixels);
+        true
+    }
+
+    pub(crate) const fn is_empty(&self) -> bool {
+        self.bytes.is_empty()
+    }
+
+    pub(crate) const fn frame(&self) -> u32 {
+        self.frame
+    }
+
+    fn to_packet(&self) -> Vec<u8> {
+        [&b"T"[..], &self.frame.to_le_bytes(), &self.bytes].concat()
+    }
+
+    /// The tiles in it, for a picture cut as `tiles` says.
+    ///
+    /// # Errors
+    /// A tile that is none of the picture's, or half a tile.
+    pub(crate) fn tiles(&self, tiles: Tiles) -> impl Iterator<Item = Result<(TileId, Tile, &[u8])>> {
+        let mut rest = &self.bytes[..];
+        core::iter::from_fn(move || {
+            if rest.is_empty() {
+                return None;
+            }
+            let taken = take_tile(rest, tiles);
+            rest = taken.as_ref().map_or(&[][..], |(_, _, _, rest)| rest);
+            Some(taken.map(|(id, tile, pixels, _)| (id, tile, pixels)))
+        })
+    }
+}
+
+fn take_tile(bytes: &[u8], tiles: Tiles) -> Result<(TileId, Tile, &[u8], &[u8])> {
+    let (id, rest) = bytes.split_first_chunk::<4>().context("half a tile's number")?;
+    let id = TileId(u32::from_le_bytes(*id));
+    let tile = tiles.get(id).with_context(|| format!("tile {} of a picture that has fewer", id.0))?;
+    let (pixels, rest) = rest.split_at_checked(tile.pixels()).context("half a tile")?;
+    Ok((id, tile, pixels, rest))
+}
+
+impl Drawn {
+    pub(crate) fn add(&mut self, counts: &TileCounts) {
+        self.primary_rays += counts.primary;
+        self.hits += counts.hits;
+        self.shadow_rays += counts.shadow;
+        self.lit += counts.lit;
+        self.damaged += counts.damaged;
+    }
+}
+
+fn with_json(letter: u8, value: &impl Serialize) -> Result<Vec<u8>> {
+    let mut packet = vec![letter];
+    serde_json::to_writer(&mut packet, value)?;
+    Ok(packet)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_travel_in_packets_that_fit() {
+        let tiles = Tiles::of(40, 20);
+        let mut batch = TileBatch::new(7);
+        for id in tiles.ids() {
+            let pixels = vec![u8::try_from(id.0).unwrap(); tiles.get(id).unwrap().pixels()];
+            assert!(batch.push(id, &pixels));
+        }
+        let News::Tiles(batch) = News::from_packet(&News::Tiles(batch).to_packet().unwrap()).unwrap() else {
+            panic!("tiles became something else");
+        };
+        assert_eq!(batch.frame(), 7);
+        let found: Vec<_> = batch.tiles(tiles).map(Result::unwrap).collect();
+        assert_eq!(found.len(), 6);
+        for (id, tile, pixels) in found {
+            assert_eq!(Some(tile), tiles.get(id));
+            assert!(pixels.iter().all(|pixel| u32::from(*pixel) == id.0));
+        }
+    }
+
+    #[test]
+    fn a_full_batch_takes_no_more() {
+        let mut batch = TileBatch::new(0);
+        let pixels = [0; 256];
+        let pushed = (0..1000).take_while(|id| batch.push(TileId(*id), &pixels)).count();
+        assert_eq!(pushed, (PACKET_BYTES_MAX - 5) / 260);
+        assert!(News::Tiles(batch).to_packet().unwrap().len() <= PACKET_BYTES_MAX);
+    }
+
+    #[test]
+    fn half_a_tile_and_a_tile_of_another_picture_are_errors() {
+        let tiles = Tiles::of(16, 16);
+        for bytes in [&[0, 0, 0][..], &[0, 0, 0, 0, 1, 2], &[9, 0, 0, 0]] {
+            let batch = TileBatch { frame: 0, bytes: bytes.to_vec() };
+            assert!(batch.tiles(tiles).next().unwrap().is_err());
+            assert_eq!(batch.tiles(tiles).count(), 1);
+        }
+    }
+
+    #[test]
+    fn packets_that_are_none_are_errors() {
+        for packet in [&b""[..], b"Z", b"S{", b"Dxx", b"GG"] {
+            assert!(Order::from_packet(packet).is_err());
+        }
+        for packet in [&b""[..], b"T12", b"P[]", b"RR"] {
+            assert!(News::from_packet(packet).is_err());
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! A cluster that renders one scene: a supervisor, nodes that render, stores that hold pages.
+//!
+//! # The map
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`command_line`] | `memsavvy render`, `prepare`, `info`: flags, help, errors |
+//! | [`size`] | `16K`, `40%`, `640x480`: how people write sizes |
+//! | [`plan`] | from what was asked for to what each process may hold; pure arithmetic |
+//! | [`run`] | a whole run: plan, start, frames, report |
+//! | `supervisor` | starts processes, watches them, gathers tiles, ends them |
+//! | `control`, `link` | what supervisor and nodes say to each other, and the socket it goes over |
+//! | `node`, `painter`, `ports` | a process of the cluster: its pages, its render threads, its ways to the others |
+//! | `scene_source` | where the scene comes from: a mesh, an image, the built-in knot |
+//! | [`report`] | what a run prints and writes |
+//! | `picture`, `output` | pixels to PNG, and their hash; files that are whole or not there |
+//!
+//! # Life of a run
+//!
+//! 1. The supervisor builds or opens the scene image and [plans](plan::Plan): pages, stripes, slots.
+//! 2. It starts a process for each node and store, each with a socket as its standard input, and sends each the plan
+//!    and the files: the image to read its own stripes from, its peers' pages to read the others'.
+//! 3. Each process fills its home pages; when all have, the supervisor lets the image go. Nobody holds it whole.
+//! 4. Frame by frame: the camera goes out, every node draws the tiles that are its own, finished tiles come back.
+//! 5. The nodes report and end.
+//!
+//! Nothing of this has a name outside the processes: memory files and sockets vanish with the last of them, however
+//! they end.
+
+pub mod command_line;
+mod control;
+mod link;
+mod node;
+mod output;
+mod painter;
+mod picture;
+pub mod plan;
+mod ports;
+mod progress;
+pub mod report;
+pub mod run;
+mod scene_source;
+pub mod size;
+mod supervisor;
+
+pub use node::run_as_node_if_asked;

@@ -1,0 +1,156 @@
+//! The socket between the supervisor and one process: packets, and with some of them open files.
+//!
+//! A pair of sequenced-packet sockets, one end of which is the process's standard input. Packets arrive whole and in
+//! order; the end of either process is the end of the link, which the other sees at once. It has no name anywhere.
+
+use core::mem::MaybeUninit;
+use std::io::{self, IoSlice, IoSliceMut};
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::net::{
+    AddressFamily, RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, ReturnFlags, SendAncillaryBuffer,
+    SendAncillaryMessage, SendFlags, SocketFlags, SocketType, recvmsg, sendmsg, socketpair,
+};
+
+/// One end of the socket. Several threads may send; packets do not mix.
+#[derive(Debug)]
+pub(crate) struct Link {
+    socket: OwnedFd,
+}
+
+/// What was received.
+#[derive(Debug)]
+pub(crate) struct Packet {
+    pub(crate) bytes: Vec<u8>,
+    pub(crate) files: Vec<OwnedFd>,
+}
+
+/// Bytes of the largest packet. Well below what a socket holds by default.
+pub(crate) const PACKET_BYTES_MAX: usize = 64 << 10;
+
+/// Files that one packet can carry.
+pub(crate) const FILES_MAX: usize = 250;
+
+impl Link {
+    /// Two ends of one link.
+    pub(crate) fn pair() -> io::Result<(Self, Self)> {
+        let (one, other) =
+            socketpair(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None)?;
+        Ok((Self { socket: one }, Self { socket: other }))
+    }
+
+    /// An end that was inherited.
+    pub(crate) const fn from_socket(socket: OwnedFd) -> Self {
+        Self { socket }
+    }
+
+    pub(crate) fn into_socket(self) -> OwnedFd {
+        self.socket
+    }
+
+    /// Sends a packet; waits while the other end is slow.
+    pub(crate) fn send(&self, bytes: &[u8]) -> io::Result<()> {
+        self.send_with(bytes, &[])
+    }
+
+    /// Sends a packet and duplicates of `files`.
+    pub(crate) fn send_with(&self, bytes: &[u8], files: &[BorrowedFd<'_>]) -> io::Result<()> {
+        if bytes.len() > PACKET_BYTES_MAX || files.len() > FILES_MAX {
+            return Err(io::ErrorKind::InvalidInput.into());
+        }
+        let mut space = vec![MaybeUninit::uninit(); SendAncillaryMessage::ScmRights(files).size()];
+        let mut ancillary = SendAncillaryBuffer::new(&mut space);
+        if !files.is_empty() && !ancillary.push(SendAncillaryMessage::ScmRights(files)) {
+            return Err(io::ErrorKind::InvalidInput.into());
+        }
+        let sent = sendmsg(&self.socket, &[IoSlice::new(bytes)], &mut ancillary, SendFlags::NOSIGNAL)?;
+        if sent == bytes.len() { Ok(()) } else { Err(io::ErrorKind::WriteZero.into()) }
+    }
+
+    /// Receives the next packet; `None` when the other end is gone.
+    pub(crate) fn receive(&self) -> io::Result<Option<Packet>> {
+        let mut bytes = vec![0; PACKET_BYTES_MAX];
+        let mut space = vec![MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(FILES_MAX))];
+        let mut ancillary = RecvAncillaryBuffer::new(&mut space);
+        let flags = RecvFlags::CMSG_CLOEXEC;
+        let received = match recvmsg(&self.socket, &mut [IoSliceMut::new(&mut bytes)], &mut ancillary, flags)
+        {
+            Ok(received) => received,
+            Err(rustix::io::Errno::CONNRESET) => return Ok(None),
+            Err(error) => return Err(error.into()),
+        };
+        if received.flags.intersects(ReturnFlags::TRUNC | ReturnFlags::CTRUNC) {
+            return Err(io::Error::new(io::ErrorKind::InvalidData, "a packet larger than packets are"));
+        }
+        let mut files = Vec::new();
+        for message in ancillary.drain() {
+            if let RecvAncillaryMessage::ScmRights(rights) = message {
+                files.extend(rights);
+            }
+        }
+        bytes.truncate(received.bytes);
+        // No packet is empty, so an empty one is the end.
+        Ok((received.bytes > 0).then_some(Packet { bytes, files }))
+    }
+}
+
+impl AsFd for Link {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.socket.as_fd()
+    }
+}
+
+/// Waits until one of `links` has something to receive, or its other end is gone; at most `timeout_ms`. Returns which.
+pub(crate) fn wait_for_any(links: &[&Link], timeout_ms: u32) -> io::Result<Vec<usize>> {
+    let mut polled: Vec<PollFd<'_>> =
+        links.iter().map(|link| PollFd::from_borrowed_fd(link.as_fd(), PollFlags::IN)).collect();
+    let timeout =
+        Timespec { tv_sec: i64::from(timeout_ms / 1000), tv_nsec: i64::from(timeout_ms % 1000) * 1_000_000 };
+    match poll(&mut polled, Some(&timeout)) {
+        Ok(_) | Err(rustix::io::Errno::INTR) => {}
+        Err(error) => return Err(error.into()),
+    }
+    let ready = |(index, polled): (usize, &PollFd<'_>)| (!polled.revents().is_empty()).then_some(index);
+    Ok(polled.iter().enumerate().filter_map(ready).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Read;
+
+    #[test]
+    fn packets_arrive_whole_in_order_and_with_their_files() {
+        let (one, other) = Link::pair().unwrap();
+        let (mut reader, writer) = io::pipe().unwrap();
+        one.send(b"first").unwrap();
+        one.send_with(b"second", &[writer.as_fd()]).unwrap();
+        drop(writer);
+        assert_eq!(wait_for_any(&[&other], 1000).unwrap(), [0]);
+        assert_eq!(other.receive().unwrap().unwrap().bytes, b"first");
+        let second = other.receive().unwrap().unwrap();
+        assert_eq!((&second.bytes[..], second.files.len()), (&b"second"[..], 1));
+        rustix::io::write(&second.files[0], b"through").unwrap();
+        drop(second);
+        let mut text = String::new();
+        reader.read_to_string(&mut text).unwrap();
+        assert_eq!(text, "through");
+    }
+
+    #[test]
+    fn the_end_of_one_side_is_seen_by_the_other() {
+        let (one, other) = Link::pair().unwrap();
+        drop(one);
+        assert_eq!(wait_for_any(&[&other], 1000).unwrap(), [0]);
+        assert!(other.receive().unwrap().is_none());
+        assert_eq!(other.send(b"x").unwrap_err().kind(), io::ErrorKind::BrokenPipe);
+    }
+
+    #[test]
+    fn what_is_too_large_is_refused_before_it_is_sent() {
+        let (one, _other) = Link::pair().unwrap();
+        one.send(&vec![1; PACKET_BYTES_MAX]).unwrap();
+        assert!(one.send(&vec![1; PACKET_BYTES_MAX + 1]).is_err());
+    }
+}

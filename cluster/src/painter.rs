@@ -1,0 +1,130 @@
+//! A render thread: draws its share of a frame's tiles and sends them off.
+
+use core::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::Arc;
+use std::sync::mpsc::Receiver;
+
+use anyhow::{Context, Result};
+use fault_linux::{Attached, BackendKind, Record, Region, ThreadStats};
+use rt_core::{Flat, Frame, SceneMemory, SceneView, TILE_SIZE, TileId, Tiles, render_tile};
+
+use crate::control::{Drawn, News, TileBatch};
+use crate::link::Link;
+use crate::ports::Port;
+
+/// A frame to draw, shared by the threads of a node: each takes the next tile that nobody has.
+#[derive(Debug)]
+pub(crate) struct Job {
+    frame: Frame,
+    tiles: Tiles,
+    own: Vec<TileId>,
+    next: AtomicUsize,
+}
+
+/// What a render thread needs.
+#[derive(Debug)]
+pub(crate) struct Painter {
+    pub(crate) region: Arc<Region>,
+    pub(crate) port: Port,
+    pub(crate) link: Arc<Link>,
+    pub(crate) jobs: Receiver<Arc<Job>>,
+    pub(crate) image_bytes: u64,
+}
+
+/// A scene of which every access goes through a table: the `soft` backend.
+#[derive(Clone, Copy, Debug)]
+struct Slotted<'a> {
+    attached: &'a Attached<Port>,
+    length: u64,
+}
+
+impl Job {
+    pub(crate) fn new(frame: Frame, tiles: Tiles, own: Vec<TileId>) -> Self {
+        Self { frame, tiles, own, next: AtomicUsize::new(0) }
+    }
+
+    fn take(&self) -> Option<TileId> {
+        self.own.get(self.next.fetch_add(1, Ordering::Relaxed)).copied()
+    }
+}
+
+impl Painter {
+    /// Draws job after job until there are no more, or a page cannot be had.
+    pub(crate) fn run(self) -> Result<ThreadStats> {
+        let Self { region, port, link, jobs, image_bytes } = self;
+        let attached = region.attach(port)?;
+        let canvas = Canvas { attached: &attached, link: &link, jobs: &jobs };
+        if region.choice().used == BackendKind::Soft {
+            canvas.draw_all(Slotted { attached: &attached, length: image_bytes })?;
+        } else {
+            let bytes = attached.bytes();
+            // Behind the image's end lies only what fills the last page.
+            let length = usize::try_from(image_bytes)?.min(bytes.len());
+            canvas.draw_all(Flat::new(&bytes[..length]))?;
+        }
+        Ok(attached.stats())
+    }
+}
+
+/// Where a thread's tiles come from and go to.
+struct Canvas<'a> {
+    attached: &'a Attached<Port>,
+    link: &'a Link,
+    jobs: &'a Receiver<Arc<Job>>,
+}
+
+impl Canvas<'_> {
+    fn draw_all<M: SceneMemory>(&self, memory: M) -> Result<()> {
+        let scene = SceneView::new(memory);
+        // A header of zeros is what a page that could not be had looks like; that failure comes first.
+        self.attached.check()?;
+        let scene = scene.context("the scene image")?;
+        while let Ok(job) = self.jobs.recv() {
+            self.draw(&scene, &job)?;
+        }
+        Ok(())
+    }
+
+    fn draw<M: SceneMemory>(&self, scene: &SceneView<M>, job: &Job) -> Result<()> {
+        let mut drawn = Drawn { frame: job.frame.number, ..Drawn::default() };
+        let mut batch = TileBatch::new(job.frame.number);
+        let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
+        while let Some(id) = job.take() {
+            let Some(tile) = job.tiles.get(id) else { continue };
+            let pixels = &mut pixels[..tile.pixels()];
+            drawn.add(&render_tile(scene, &job.frame, tile, pixels, &mut ()));
+            if !batch.push(id, pixels) {
+                self.send(core::mem::replace(&mut batch, TileBatch::new(job.frame.number)))?;
+                batch.push(id, pixels);
+            }
+        }
+        self.send(batch)?;
+        self.link.send(&News::Drawn(drawn).to_packet()?)?;
+        Ok(())
+    }
+
+    /// Sends tiles, unless a page that they may be made of could not be had.
+    fn send(&self, batch: TileBatch) -> Result<()> {
+        self.attached.check()?;
+        if !batch.is_empty() {
+            self.link.send(&News::Tiles(batch).to_packet()?)?;
+        }
+        Ok(())
+    }
+}
+
+impl SceneMemory for Slotted<'_> {
+    type Record<'a>
+        = Record<'a>
+    where
+        Self: 'a;
+
+    #[inline]
+    fn record(&self, offset: u64, length: usize) -> Option<Record<'_>> {
+        self.attached.record(offset, length)
+    }
+
+    fn length(&self) -> u64 {
+        self.length
+    }
+}

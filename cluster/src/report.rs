@@ -1,0 +1,317 @@
+//! What a run prints, and what it writes as JSON.
+
+use core::fmt::{self, Display, Write as _};
+
+use serde::{Deserialize, Serialize};
+
+use crate::size::Bytes;
+
+/// Everything a run has to tell; the shape of `run.json`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct RunReport {
+    /// The command line, as it was given.
+    pub command: Vec<String>,
+    /// The scene.
+    pub scene: SceneReport,
+    /// The picture's width and height in pixels.
+    pub size: [u32; 2],
+    /// How pages travel: `shm` or `shm-ring`.
+    pub transport: String,
+    /// One entry for each frame, in order.
+    pub frames: Vec<FrameReport>,
+    /// One entry for each process, in order of its number.
+    pub nodes: Vec<ProcessReport>,
+    /// Sums over the run.
+    pub totals: Totals,
+}
+
+/// The scene of a run.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct SceneReport {
+    /// Where it came from.
+    pub name: String,
+    /// Triangles of the mesh.
+    pub triangles: u64,
+    /// Length of the scene image.
+    pub image_bytes: u64,
+    /// Pages of the run; they may be larger than those the image was made for.
+    pub pages: u32,
+    /// Length of a page.
+    pub page_bytes: u32,
+    /// What it uses, by name.
+    pub needs: String,
+}
+
+/// One frame.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct FrameReport {
+    /// Its number.
+    pub frame: u32,
+    /// From sending the camera until the last tile was in place, in milliseconds.
+    pub ms: f64,
+    /// Hash of its pixels: XXH3, 64 bits, in hexadecimal.
+    pub image_hash: String,
+    /// Rays from the eye.
+    pub primary_rays: u64,
+    /// Rays from the eye that met a surface.
+    pub hits: u64,
+    /// Rays towards the light.
+    pub shadow_rays: u64,
+    /// Rays towards the light that reached it.
+    pub lit: u64,
+    /// Pixels whose ray met records that contradict the image's header.
+    pub damaged_pixels: u64,
+}
+
+/// One process.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct ProcessReport {
+    /// Its number.
+    pub node: u16,
+    /// `node` renders, `store` only holds pages.
+    pub role: String,
+    /// Threads that render.
+    pub threads: u16,
+    /// What it may hold: home pages, slots and the tables for both.
+    pub budget_bytes: u64,
+    /// Pages it is home to.
+    pub home_pages: u32,
+    /// Pages of others it can hold at once.
+    pub slots: u32,
+    /// Slots asked for that the backend cannot manage on this system.
+    pub slots_withheld: u32,
+    /// What home pages, slots and tables take when all are in use.
+    pub held_bytes_max: u64,
+    /// Most memory that was ever resident, measured by the system (`VmHWM`).
+    pub peak_resident_bytes: u64,
+    /// The same before it knew of any scene: program, libraries, stacks.
+    pub baseline_resident_bytes: u64,
+    /// The backend in use: `uffd`, `segv`, `soft` or `replicated`; empty for a store.
+    pub backend: String,
+    /// Backends that the system refused, and why.
+    pub backends_declined: Vec<String>,
+    /// The replacement policy in use; empty where nothing is replaced.
+    pub policy: String,
+    /// Loads that met an absent page.
+    pub faults: u64,
+    /// Of those, the ones that found another thread fetching the page.
+    pub merged_faults: u64,
+    /// Pages fetched from other processes.
+    pub fetched_pages: u64,
+    /// Bytes of those pages.
+    pub received_bytes: u64,
+    /// Pages that had to leave for them.
+    pub evictions: u64,
+    /// Requests sent again.
+    pub resends: u64,
+    /// Median time of a miss, from the fault to the page's presence, in microseconds.
+    pub miss_p50_us: f64,
+    /// The time that 99 of 100 misses stay below, in microseconds.
+    pub miss_p99_us: f64,
+    /// Pages granted to others, where a server thread does that.
+    pub granted_pages: u64,
+}
+
+/// Sums over all frames and nodes.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Totals {
+    /// Wall time of all frames, in milliseconds.
+    pub frames_ms: f64,
+    /// Frames per second.
+    pub frames_per_second: f64,
+    /// Rays of both kinds.
+    pub rays: u64,
+    /// Millions of rays per second.
+    pub mrays_per_second: f64,
+    /// Pages fetched.
+    pub fetched_pages: u64,
+    /// Bytes of those pages.
+    pub received_bytes: u64,
+    /// Pages that had to leave.
+    pub evictions: u64,
+    /// Most memory resident beyond what was planned to be held, over all processes.
+    pub overhead_bytes_max: u64,
+}
+
+impl ProcessReport {
+    /// Memory resident beyond home pages, slots and tables: program, stacks, buffers.
+    #[must_use]
+    pub const fn overhead_bytes(&self) -> u64 {
+        self.peak_resident_bytes.saturating_sub(self.held_bytes_max)
+    }
+}
+
+impl Totals {
+    /// Adds up frames and processes.
+    #[must_use]
+    pub fn of(frames: &[FrameReport], nodes: &[ProcessReport]) -> Self {
+        let frames_ms: f64 = frames.iter().map(|frame| frame.ms).sum();
+        let rays = frames.iter().map(|frame| frame.primary_rays + frame.shadow_rays).sum();
+        let per_second = |count: f64| if frames_ms > 0.0 { count / (frames_ms / 1000.0) } else { 0.0 };
+        let sum = |count: fn(&ProcessReport) -> u64| nodes.iter().map(count).sum();
+        Self {
+            frames_ms,
+            frames_per_second: per_second(frames.len() as f64),
+            rays,
+            mrays_per_second: per_second(rays as f64) / 1e6,
+            fetched_pages: sum(|node| node.fetched_pages),
+            received_bytes: sum(|node| node.received_bytes),
+            evictions: sum(|node| node.evictions),
+            overhead_bytes_max: nodes.iter().map(ProcessReport::overhead_bytes).max().unwrap_or(0),
+        }
+    }
+}
+
+/// The report as people read it in a terminal.
+impl Display for RunReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { scene, totals, .. } = self;
+        writeln!(
+            f,
+            "{}: {} triangles, image of {} in {} pages of {}",
+            scene.name,
+            thousands(scene.triangles),
+            Bytes(scene.image_bytes),
+            thousands(scene.pages.into()),
+            Bytes(scene.page_bytes.into()),
+        )?;
+        writeln!(f)?;
+        writeln!(f, "frame        ms   hits   shadow rays   image")?;
+        for frame in &self.frames {
+            let share = |count: u64| 100.0 * count as f64 / frame.primary_rays.max(1) as f64;
+            writeln!(
+                f,
+                "{:5} {:9.1} {:5.1}% {:12.1}%   {}",
+                frame.frame,
+                frame.ms,
+                share(frame.hits),
+                share(frame.shadow_rays),
+                frame.image_hash
+            )?;
+        }
+        writeln!(f)?;
+        writeln!(f, "{}", table(&self.nodes))?;
+        write!(
+            f,
+            "{:.1} frames/s, {:.2} Mrays/s; fetched {} pages ({}), evicted {}; at most {} resident beyond what is held",
+            totals.frames_per_second,
+            totals.mrays_per_second,
+            thousands(totals.fetched_pages),
+            Bytes(totals.received_bytes),
+            thousands(totals.evictions),
+            Bytes(totals.overhead_bytes_max),
+        )?;
+        let declined: Vec<&String> = self.nodes.iter().flat_map(|node| &node.backends_declined).collect();
+        if let Some(first) = declined.first() {
+            write!(f, "\nbackends refused by the system: {first}")?;
+        }
+        let withheld: u32 = self.nodes.iter().map(|node| node.slots_withheld).sum();
+        if withheld > 0 {
+            write!(
+                f,
+                "\n{} slots are not used: segv needs a mapping for each page, and the system allows no more (vm.max_map_count)",
+                thousands(withheld.into())
+            )?;
+        }
+        let damaged: u64 = self.frames.iter().map(|frame| frame.damaged_pixels).sum();
+        if damaged > 0 {
+            write!(
+                f,
+                "\nwarning: {} pixels met records that contradict the image; prepare it anew",
+                thousands(damaged)
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// One row for each process, its columns as wide as they need to be.
+fn table(nodes: &[ProcessReport]) -> String {
+    let heads = [
+        "",
+        "may hold",
+        "home",
+        "slots",
+        "peak",
+        "faults",
+        "fetched",
+        "evicted",
+        "merged",
+        "miss p50/p99",
+        "paging",
+    ];
+    let mut rows = vec![heads.map(String::from)];
+    rows.extend(nodes.iter().map(|node| {
+        [
+            format!("{} {}", node.role, node.node),
+            Bytes(node.budget_bytes).to_string(),
+            thousands(node.home_pages.into()),
+            thousands(node.slots.into()),
+            Bytes(node.peak_resident_bytes).to_string(),
+            thousands(node.faults),
+            thousands(node.fetched_pages),
+            thousands(node.evictions),
+            thousands(node.merged_faults),
+            format!("{:.1} / {:.1} us", node.miss_p50_us, node.miss_p99_us),
+            format!("{} {}", node.backend, node.policy).trim().to_owned(),
+        ]
+    }));
+    let width = |column: usize| rows.iter().map(|row| row[column].len()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..heads.len()).map(width).collect();
+    let mut text = String::new();
+    for row in &rows {
+        for (cell, width) in row.iter().zip(&widths) {
+            let _ = write!(text, "{cell:>width$}  ");
+        }
+        text.truncate(text.trim_end().len());
+        text.push('\n');
+    }
+    text
+}
+
+/// A count with a gap after every three digits: `1 234 567`.
+pub(crate) fn thousands(count: u64) -> String {
+    let digits = count.to_string();
+    let mut text = String::with_capacity(digits.len() + digits.len() / 3);
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            text.push(' ');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_have_gaps() {
+        let printed = [0, 999, 1000, 1_234_567].map(thousands);
+        assert_eq!(printed, ["0", "999", "1 000", "1 234 567"]);
+    }
+
+    #[test]
+    fn totals_add_up() {
+        let frame = FrameReport {
+            frame: 0,
+            ms: 500.0,
+            image_hash: String::new(),
+            primary_rays: 600_000,
+            hits: 1,
+            shadow_rays: 400_000,
+            lit: 1,
+            damaged_pixels: 0,
+        };
+        let node = ProcessReport {
+            fetched_pages: 3,
+            held_bytes_max: 10,
+            peak_resident_bytes: 12,
+            ..ProcessReport::default()
+        };
+        let totals = Totals::of(&[frame.clone(), frame], &[node.clone(), node]);
+        assert_eq!((totals.frames_per_second, totals.mrays_per_second), (2.0, 2.0));
+        assert_eq!((totals.fetched_pages, totals.overhead_bytes_max), (6, 2));
+    }
+}

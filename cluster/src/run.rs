@@ -1,0 +1,284 @@
+//! A whole run: plan, start, frames, report.
+
+use core::num::NonZeroU16;
+use core::time::Duration;
+use std::os::fd::OwnedFd;
+use std::thread::available_parallelism;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use anyhow::{Context, Result, bail};
+use dsm_core::replacement::PolicyKind;
+use fault_linux::BackendKind;
+use rt_core::camera::OrbitPlace;
+use rt_core::{Frame, Header, Orbit};
+use transport_shm::{Inbox, Layout, PageFile};
+
+pub use crate::control::TransportKind;
+pub use crate::picture::Picture;
+pub use crate::scene_source::Source;
+
+use crate::control::{Files, SetUp};
+use crate::plan::{Demand, Plan};
+use crate::progress::FrameBar;
+use crate::report::{FrameReport, RunReport, SceneReport, Totals};
+use crate::scene_source::Image;
+use crate::size::{Memory, PictureSize};
+use crate::supervisor::{Drawing, Supervisor};
+
+/// What to render, and on what.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// What is rendered.
+    pub source: Source,
+    /// Processes that render.
+    pub nodes: u16,
+    /// Processes that hold pages and render nothing.
+    pub stores: u16,
+    /// Render threads of each node; `None`: the processor's cores, divided by the nodes.
+    pub threads: Option<NonZeroU16>,
+    /// What one node may hold; `None`: its home pages and 15 % of the image besides.
+    pub memory: Option<Memory>,
+    /// Length of a page; `None`: what the image was prepared for.
+    pub page_bytes: Option<u32>,
+    /// How pages appear; `None`: the best way that the system does not refuse.
+    pub backend: Option<BackendKind>,
+    /// Which page leaves.
+    pub policy: PolicyKind,
+    /// How pages travel.
+    pub transport: TransportKind,
+    /// The picture's size.
+    pub size: PictureSize,
+    /// Frames of the orbit.
+    pub frames: u32,
+    /// Distance of the eye from the middle, in diagonals of the scene.
+    pub radius: f32,
+    /// A fault that is not served, or a process that says nothing, for this long ends the run.
+    pub deadline: Duration,
+    /// Messages that are lost on purpose, in a thousand.
+    pub lose_per_mille: u32,
+    /// Makes everything that is random repeatable.
+    pub seed: u64,
+    /// No progress bars.
+    pub quiet: bool,
+    /// What was typed, for the report.
+    pub command: Vec<String>,
+}
+
+impl Default for Options {
+    /// The main job: the built-in scene, four nodes, eight frames.
+    fn default() -> Self {
+        Self {
+            source: Source::BuiltIn { triangles: 600_000 },
+            nodes: 4,
+            stores: 0,
+            threads: None,
+            memory: None,
+            page_bytes: None,
+            backend: None,
+            policy: PolicyKind::Random,
+            transport: TransportKind::Shm,
+            size: PictureSize { width: 512, height: 512 },
+            frames: 1,
+            radius: 0.9,
+            deadline: Duration::from_secs(5),
+            lose_per_mille: 0,
+            seed: 1,
+            quiet: false,
+            command: Vec::new(),
+        }
+    }
+}
+
+/// Renders all frames and hands each over as soon as it is whole.
+///
+/// The calling program must begin with [`run_as_node_if_asked`](crate::run_as_node_if_asked).
+///
+/// # Errors
+/// The options contradict themselves or the scene; the scene cannot be used; a process of the cluster ended, hung, or
+/// could not go on. No process is left behind in any case.
+pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<()>) -> Result<RunReport> {
+    options.check()?;
+    let image = options.source.open(options.page_bytes, options.quiet)?;
+    let image = if options.is_replicated() { image.freeze()? } else { image };
+    let run = Run::plan(options, &image)?;
+    let (name, header) = (image.name.clone(), image.header);
+    let files = run.files(image)?;
+    let mut supervisor = Supervisor::start(&run.set_ups(options), &files, options.deadline)?;
+    supervisor.wait_until_ready()?;
+    // Each process has its own part now; nobody holds the whole.
+    drop(files);
+
+    let orbit = Orbit::around(&header.bounds);
+    let mut frames = Vec::new();
+    let bar = FrameBar::new(options.quiet, options.frames);
+    for number in 0..options.frames {
+        let drawing = supervisor.draw(options.frame(&orbit, number)?)?;
+        on_frame(number, &drawing.picture)?;
+        frames.push(drawing.report());
+        bar.advance();
+    }
+    drop(bar);
+    let nodes = supervisor.finish()?;
+    Ok(RunReport {
+        command: options.command.clone(),
+        scene: run.scene_report(name, &header),
+        size: [options.size.width, options.size.height],
+        transport: serde_json::to_value(options.transport)?.as_str().unwrap_or_default().to_owned(),
+        totals: Totals::of(&frames, &nodes),
+        frames,
+        nodes,
+    })
+}
+
+/// The arithmetic of a run, done.
+struct Run {
+    plan: Plan,
+    image_bytes: u64,
+    threads: u16,
+    transport: TransportKind,
+}
+
+impl Run {
+    fn plan(options: &Options, image: &Image) -> Result<Self> {
+        let image_bytes = image.header.image_bytes;
+        let demand = Demand {
+            nodes: options.nodes,
+            stores: options.stores,
+            memory: options.memory,
+            image_bytes,
+            page_bytes: options.page_bytes.unwrap_or(image.header.page_bytes),
+            replicated: options.is_replicated(),
+        };
+        let plan = Plan::new(&demand)?;
+        let threads = options.threads.map_or_else(|| cores().div_ceil(plan.nodes), NonZeroU16::get);
+        Ok(Self { plan, image_bytes, threads, transport: options.transport })
+    }
+
+    /// The image, a file for the pages of each owner, and its inbox.
+    fn files(&self, image: Image) -> Result<Files<OwnedFd>> {
+        let placement = &self.plan.placement;
+        let pages = placement.owner_ids().map(|owner| {
+            let bytes = u64::from(self.plan.home_pages(owner)) * u64::from(self.plan.page_bytes);
+            Ok(PageFile::create(bytes).context("cannot get memory for home pages")?.into())
+        });
+        // At most 64 nodes of 256 threads.
+        let layout = Layout::new(self.plan.page_bytes, self.plan.nodes * self.threads.min(THREADS_MAX))?;
+        let inboxes = placement
+            .owner_ids()
+            .filter(|_| self.transport == TransportKind::ShmRing)
+            .map(|_| Ok(Inbox::create(layout).context("cannot get memory for rings")?.into()));
+        Ok(Files {
+            image: image.into(),
+            pages: pages.collect::<Result<_>>()?,
+            inboxes: inboxes.collect::<Result<_>>()?,
+        })
+    }
+
+    fn set_ups(&self, options: &Options) -> Vec<SetUp> {
+        let cluster = cluster_id();
+        let Plan { nodes, stores, page_bytes, budget_bytes, slots, .. } = self.plan;
+        let processes = nodes + stores;
+        let set_up = |node| SetUp {
+            node,
+            nodes,
+            processes,
+            cluster,
+            placement: self.plan.placement_numbers(),
+            page_bytes,
+            image_bytes: self.image_bytes,
+            budget_bytes,
+            slots,
+            threads: self.threads,
+            backend: options.backend.map_or("auto", BackendKind::name).to_owned(),
+            policy: options.policy.name().to_owned(),
+            transport: self.transport,
+            spin_us: self.spin_us(),
+            deadline_us: u64::try_from(options.deadline.as_micros()).unwrap_or(u64::MAX),
+            lose_per_mille: options.lose_per_mille,
+            seed: options.seed,
+        };
+        (0..processes).map(set_up).collect()
+    }
+
+    /// How long a thread looks for an answer before it sleeps: not at all where threads share cores.
+    fn spin_us(&self) -> u64 {
+        const SPIN_US: u64 = 50;
+        let owners = self.plan.placement.owner_count();
+        let servers = if self.transport == TransportKind::ShmRing { owners } else { 0 };
+        let threads = u32::from(self.plan.nodes) * u32::from(self.threads) + u32::from(servers);
+        if threads > u32::from(cores()) { 0 } else { SPIN_US }
+    }
+
+    fn scene_report(&self, name: String, header: &Header) -> SceneReport {
+        SceneReport {
+            name,
+            triangles: header.triangles,
+            image_bytes: header.image_bytes,
+            pages: self.plan.placement.page_count(),
+            page_bytes: self.plan.page_bytes,
+            needs: header.needs.to_string(),
+        }
+    }
+}
+
+impl Options {
+    fn check(&self) -> Result<()> {
+        if self.frames == 0 {
+            bail!("--frames 0 renders nothing");
+        }
+        if !self.radius.is_finite() || self.radius <= 0.0 {
+            bail!("--radius is a distance in diagonals of the scene, above 0; got {}", self.radius);
+        }
+        if self.threads.is_some_and(|threads| threads.get() > THREADS_MAX) {
+            bail!("a node has at most {THREADS_MAX} render threads");
+        }
+        if self.deadline.is_zero() {
+            bail!("--deadline 0 leaves no time for anything");
+        }
+        if self.is_replicated() && self.stores > 0 {
+            bail!(
+                "--stores hold pages for nodes that do not; with --backend replicated every node holds them all"
+            );
+        }
+        Ok(())
+    }
+
+    fn is_replicated(&self) -> bool {
+        self.backend == Some(BackendKind::Replicated)
+    }
+
+    fn frame(&self, orbit: &Orbit, number: u32) -> Result<Frame> {
+        let place = OrbitPlace { radius: self.radius, elevation: 0.0, frame: number, frames: self.frames };
+        Frame::on_orbit(orbit, &place, self.size.width, self.size.height)
+            .with_context(|| format!("no camera at --radius {} of this scene", self.radius))
+    }
+}
+
+impl Drawing {
+    fn report(&self) -> FrameReport {
+        FrameReport {
+            frame: self.counts.frame,
+            ms: self.ms,
+            image_hash: self.picture.hash(),
+            primary_rays: self.counts.primary_rays,
+            hits: self.counts.hits,
+            shadow_rays: self.counts.shadow_rays,
+            lit: self.counts.lit,
+            damaged_pixels: self.counts.damaged,
+        }
+    }
+}
+
+/// Threads that one region can serve.
+const THREADS_MAX: u16 = 256;
+
+fn cores() -> u16 {
+    available_parallelism().map_or(1, |cores| u16::try_from(cores.get()).unwrap_or(u16::MAX))
+}
+
+/// A number that another run, past or beside this one, hardly has.
+fn cluster_id() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let nanoseconds = u64::try_from(since.as_nanos() & u128::from(u64::MAX)).unwrap_or(0);
+    nanoseconds.rotate_left(20) ^ u64::from(std::process::id())
+}
