@@ -51,8 +51,8 @@ pub(crate) struct Work<'a> {
     ticket: Option<Ticket<'a>>,
 }
 
-/// Pages whose waiters one input can wake: a thread has one request under way.
-const WOKEN_MAX: usize = 4;
+/// Pages whose waiters are woken at a time: those of a batch of victims, or the one that a thread has asked for.
+const WOKEN_MAX: usize = EVICT_BATCH_MAX as usize;
 
 /// The first failure, kept where every thread sees it without a lock.
 #[derive(Debug)]
@@ -110,12 +110,12 @@ impl Paging {
         self.node.lock().table().slot_count()
     }
 
-    pub(crate) fn is_requested(&self, page: PageId) -> bool {
-        self.node.lock().table().state(page) == Some(PageState::Requested)
-    }
-
-    pub(crate) fn next_timeout(&self, port: PortId) -> Option<Instant> {
-        self.node.lock().next_timeout(port)
+    /// When the request for `page`, which left through `port`, wants to be looked after; `None` when it is no more
+    /// under way.
+    pub(crate) fn next_timeout(&self, page: PageId, port: PortId) -> Option<Instant> {
+        let node = self.node.lock();
+        let under_way = node.table().state(page) == Some(PageState::Requested);
+        under_way.then(|| node.next_timeout(port)).flatten()
     }
 
     /// Tells the state machine of a fault: for the first time, or again by a thread that faulted `since` then.
@@ -165,11 +165,14 @@ impl Paging {
         let Some((first, _)) = work.victims.first() else { return Ok(false) };
         let taken = self.backend.take_away(&self.area, &work.victims);
         taken.map_err(|why| self.fail(*first, Reason::System(why)))?;
+        let mut node = self.node.lock();
+        let mut woken = Work::default();
         for (page, _) in &work.victims {
-            let mut node = self.node.lock();
             node.handle_unmapped(sys::now(), *page);
-            self.finish(node);
+            woken.gather(&mut node);
         }
+        drop(node);
+        self.wake(&woken);
         Ok(true)
     }
 
@@ -234,13 +237,18 @@ impl Paging {
 
     /// Gathers what one input has caused, lets go of the lock, and wakes whoever is to be woken.
     fn finish(&self, mut node: Guard<'_, Node<'static>>) -> Work<'_> {
-        let work = Work::gather(&mut node);
+        let mut work = Work::default();
+        work.gather(&mut node);
         drop(node);
+        self.wake(&work);
+        work
+    }
+
+    fn wake(&self, work: &Work<'_>) {
         work.woken_pages.iter().for_each(|page| self.words.wake_page(*page));
         if work.wakes_slots {
             self.words.wake_slots();
         }
-        work
     }
 }
 
@@ -252,23 +260,23 @@ impl Work<'_> {
         }
     }
 
-    fn gather(node: &mut Node<'static>) -> Self {
-        let mut work = Self::default();
+    /// Adds what one input has caused.
+    fn gather(&mut self, node: &mut Node<'static>) {
         let mut buffer = [0; HEADER_BYTES];
         loop {
             match node.poll(&mut buffer) {
-                Output::Idle(_) => return work,
-                Output::Transmit { to, .. } => work.request = Some((to, buffer)),
-                Output::Map { page, slot } => work.to_fill = Some((page, slot)),
+                Output::Idle(_) => return,
+                Output::Transmit { to, .. } => self.request = Some((to, buffer)),
+                Output::Map { page, slot } => self.to_fill = Some((page, slot)),
                 Output::Unmap { page, slot } => {
-                    let pushed = work.victims.push((page, slot));
+                    let pushed = self.victims.push((page, slot));
                     debug_assert!(pushed.is_ok(), "a batch is bounded");
                 }
                 Output::WakePage { page } => {
-                    let pushed = work.woken_pages.push(page);
-                    debug_assert!(pushed.is_ok(), "a thread has one request under way");
+                    let pushed = self.woken_pages.push(page);
+                    debug_assert!(pushed.is_ok(), "no more wait than leave at a time");
                 }
-                Output::WakeSlots => work.wakes_slots = true,
+                Output::WakeSlots => self.wakes_slots = true,
             }
         }
     }

@@ -250,7 +250,8 @@ impl<T: Transport> Fetcher<T> {
             let evicted = paging.evict(&work)?;
             match answer {
                 Answer::Ready => break,
-                Answer::Fetch => self.receive(paging, page)?,
+                Answer::Fetch if self.receive(paging, page)? => break,
+                Answer::Fetch => {}
                 Answer::Failed(failure) => return Err(paging.fail(page, Reason::Cluster(failure))),
                 Answer::Full if evicted => {}
                 Answer::Wait | Answer::Full => work.wait(SLEEP_US),
@@ -264,14 +265,17 @@ impl<T: Transport> Fetcher<T> {
         Ok(first)
     }
 
-    /// Waits for the answer to the request that is under way and puts the page in place. Ends by its deadline.
-    fn receive(&mut self, paging: &Paging, page: PageId) -> Result<(), PageFailure> {
-        while paging.is_requested(page) {
-            let Some(deadline) = paging.next_timeout(self.port) else { break };
+    /// Waits for the answer to the request that is under way and puts the page in place. Ends by the request's
+    /// deadline; tells whether the page is there.
+    fn receive(&mut self, paging: &Paging, page: PageId) -> Result<bool, PageFailure> {
+        while let Some(deadline) = paging.next_timeout(page, self.port) {
             match self.transport.receive(deadline) {
                 Some(received) => {
-                    if let Some((page, slot)) = paging.handle_message(&received.header).to_fill {
-                        paging.fill(page, slot, received.body)?;
+                    if let Some((arrived, slot)) = paging.handle_message(&received.header).to_fill {
+                        paging.fill(arrived, slot, received.body)?;
+                        if arrived == page {
+                            return Ok(true);
+                        }
                     }
                 }
                 None => {
@@ -280,7 +284,7 @@ impl<T: Transport> Fetcher<T> {
                 }
             }
         }
-        Ok(())
+        Ok(false)
     }
 
     fn send(&mut self, work: &Work<'_>) {
