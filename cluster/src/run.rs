@@ -79,7 +79,7 @@ impl Default for Options {
             transport: TransportKind::Shm,
             size: PictureSize { width: 512, height: 512 },
             frames: 1,
-            radius: 0.9,
+            radius: 1.05,
             deadline: Duration::from_secs(5),
             lose_per_mille: 0,
             seed: 1,
