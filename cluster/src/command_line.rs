@@ -15,7 +15,7 @@ use fault_linux::BackendKind;
 use rt_core::image::{PAGE_BYTES_MAX, PAGE_BYTES_MIN};
 use scene::{BuildOptions, Info, SceneFile};
 
-use crate::control::TransportKind;
+use crate::control::{BindTo, TransportKind};
 use crate::output::{Destination, check_folder_of, write_whole};
 use crate::progress::StageBar;
 use crate::report::{RunReport, thousands};
@@ -95,6 +95,10 @@ struct Cluster {
     /// Render threads of each node [default: cores / nodes, at least 1]
     #[arg(long, value_name = "T")]
     threads: Option<NonZeroU16>,
+    /// Where render threads run: each on a core of its own, or wherever the system puts them
+    /// [default: core, if there are enough]
+    #[arg(long, value_name = "WHERE", value_enum)]
+    bind_to: Option<BindTo>,
     /// What one node may hold, home pages and cache together: a share of the image or a size, as in 40% or 64M
     /// [default: its home pages and 15 % besides]
     #[arg(long, value_name = "SIZE")]
@@ -225,6 +229,7 @@ impl Render {
             nodes: cluster.nodes,
             stores: cluster.stores,
             threads: cluster.threads,
+            bind_to: cluster.bind_to,
             memory: cluster.memory,
             page_bytes: cluster.page,
             backend: cluster.backend.0,

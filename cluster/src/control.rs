@@ -53,6 +53,8 @@ pub(crate) struct SetUp {
     pub(crate) budget_bytes: u64,
     pub(crate) slots: u32,
     pub(crate) threads: u16,
+    /// Each render thread keeps to a core of its own.
+    pub(crate) binds_to_cores: bool,
     pub(crate) backend: String,
     pub(crate) policy: String,
     pub(crate) transport: TransportKind,
@@ -71,6 +73,15 @@ pub enum TransportKind {
     Shm,
     /// Shared memory, through rings and the owner's server thread, as between machines.
     ShmRing,
+}
+
+/// Where render threads run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum BindTo {
+    /// Each on a core of its own.
+    Core,
+    /// Wherever the system puts them.
+    None,
 }
 
 /// The order of the files that come with [`Order::SetUp`]: the image, the pages of each owner, the inboxes of each.

@@ -21,6 +21,7 @@ use fault_linux::{BackendKind, Region, Setup, ThreadStats};
 use rt_core::schedule::Static;
 use rt_core::{Frame, Tiles};
 use rustix::process::{Signal, set_parent_process_death_signal};
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use transport_shm::{HeldPages, Server, now};
 
 use crate::control::{Files, News, Order, SetUp};
@@ -172,7 +173,14 @@ impl Process {
             };
             let link = self.link.clone();
             let name = format!("render {thread}");
-            let body = move || painter.run().inspect_err(|error| tell(&link, error));
+            let core = self
+                .set_up
+                .binds_to_cores
+                .then(|| usize::from(self.set_up.node * self.set_up.threads + thread));
+            let body = move || {
+                core.into_iter().for_each(bind_to_core);
+                painter.run().inspect_err(|error| tell(&link, error))
+            };
             Ok(Hand { jobs: sender, thread: thread::Builder::new().name(name).spawn(body)? })
         });
         let painters = painters.collect::<Result<_>>()?;
@@ -330,6 +338,18 @@ fn say_alive(link: &Arc<Link>, deadline_us: u64) -> Result<()> {
     };
     thread::Builder::new().name("alive".to_owned()).spawn(body)?;
     Ok(())
+}
+
+/// Keeps the calling thread to one of the cores this process may use, counted round robin. Where the system does not
+/// let it, it runs where it is put.
+fn bind_to_core(number: usize) {
+    let Ok(allowed) = sched_getaffinity(None) else { return };
+    let cores: Vec<usize> = (0..CpuSet::MAX_CPU).filter(|core| allowed.is_set(*core)).collect();
+    let mut one = CpuSet::new();
+    if let Some(core) = cores.get(number % cores.len().max(1)) {
+        one.set(*core);
+        let _ = sched_setaffinity(None, &one);
+    }
 }
 
 /// Tells the supervisor why a thread has given up.

@@ -13,7 +13,7 @@ use rt_core::camera::OrbitPlace;
 use rt_core::{Frame, Header, Orbit};
 use transport_shm::{Inbox, Layout, PageFile};
 
-pub use crate::control::TransportKind;
+pub use crate::control::{BindTo, TransportKind};
 pub use crate::picture::Picture;
 pub use crate::scene_source::Source;
 
@@ -36,6 +36,8 @@ pub struct Options {
     pub stores: u16,
     /// Render threads of each node; `None`: the processor's cores, divided by the nodes.
     pub threads: Option<NonZeroU16>,
+    /// Where render threads run; `None`: each on a core of its own, if there are enough.
+    pub bind_to: Option<BindTo>,
     /// What one node may hold; `None`: its home pages and 15 % of the image besides.
     pub memory: Option<Memory>,
     /// Length of a page; `None`: what the image was prepared for.
@@ -72,6 +74,7 @@ impl Default for Options {
             nodes: 4,
             stores: 0,
             threads: None,
+            bind_to: None,
             memory: None,
             page_bytes: None,
             backend: None,
@@ -189,6 +192,7 @@ impl Run {
             budget_bytes,
             slots,
             threads: self.threads,
+            binds_to_cores: self.binds_to_cores(options),
             backend: options.backend.map_or("auto", BackendKind::name).to_owned(),
             policy: options.policy.name().to_owned(),
             transport: self.transport,
@@ -198,6 +202,12 @@ impl Run {
             seed: options.seed,
         };
         (0..processes).map(set_up).collect()
+    }
+
+    /// Whether every render thread can have a core, and shall.
+    fn binds_to_cores(&self, options: &Options) -> bool {
+        let painters = u32::from(self.plan.nodes) * u32::from(self.threads);
+        options.bind_to.map_or(painters <= u32::from(cores()), |bind_to| bind_to == BindTo::Core)
     }
 
     /// How long a thread looks for an answer before it sleeps: not at all where threads share cores.
