@@ -1,0 +1,39 @@
+//! The experiments: tables and figures of the paper and of ours, printed, written as JSON and plotted.
+//!
+//! # The map
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`experiment`] | the list of experiments; a new one adds its file and a line there |
+//! | [`command_line`] | names and flags |
+//! | [`table1`] | hits and misses, as in the paper's Table 1 |
+//! | [`scaling`] | frame rate over nodes and memory |
+//! | [`findings`], [`table`], [`plot`], [`spread`] | what an experiment gives back, and how it is shown |
+//! | [`quiet`] | telling quiet rounds from those in which other programs wanted the machine |
+//! | [`distance`] | how far apart the cores are at the moment |
+//! | [`machine`] | what stands beside every figure: processor, kernel, commit |
+//! | [`space`], [`owner`], [`memory`] | a shared space to read, the process that owns it, memory to compare with |
+//!
+//! Every experiment first asserts that its subject is right, and then times it, in turns with what it is compared
+//! with: absolute times of a shared machine mean little, ratios of neighbouring moments mean much.
+
+mod command_line;
+mod distance;
+mod experiment;
+mod findings;
+mod machine;
+mod memory;
+mod owner;
+mod plot;
+mod quiet;
+mod scaling;
+mod space;
+mod spread;
+mod table;
+mod table1;
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    memsavvy::run_as_node_if_asked().or_else(owner::run_as_owner_if_asked).unwrap_or_else(command_line::main)
+}
