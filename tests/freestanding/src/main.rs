@@ -138,7 +138,8 @@ mod memory {
             // SAFETY: copying upwards never reads what it has written.
             return unsafe { memcpy(to, from, length) };
         }
-        let (last_to, last_from) = (to.wrapping_add(length).wrapping_sub(1), from.wrapping_add(length).wrapping_sub(1));
+        let (last_to, last_from) =
+            (to.wrapping_add(length).wrapping_sub(1), from.wrapping_add(length).wrapping_sub(1));
         // SAFETY: the caller vouches for both ranges; copying downwards never reads what it has written.
         unsafe {
             asm!("std", "rep movsb", "cld", inout("rcx") length => _, inout("rdi") last_to => _, inout("rsi") last_from => _);
