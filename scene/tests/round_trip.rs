@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use rt_core::camera::OrbitPlace;
 use rt_core::cluster::{Cluster, cluster_bytes};
 use rt_core::grid::LeafContent;
-use rt_core::{Flat, Frame, Orbit, Primitive, SceneView, Tiles, render_tile};
+use rt_core::{Flat, Frame, Kernel, Orbit, Primitive, SceneView, Tiles, render_tile};
 use scene::file::view_of;
 use scene::{BuildOptions, Mesh, OpenError, SceneFile, build, builtin};
 
@@ -26,7 +26,7 @@ fn picture(scene: &SceneView<Flat<'_>>, frame: u32) -> Vec<u8> {
     let mut bytes = Vec::new();
     for tile in tiles.ids().filter_map(|id| tiles.get(id)) {
         let mut pixels = vec![0; tile.pixels()];
-        let counts = render_tile(scene, &frame, tile, &mut pixels, &mut ());
+        let counts = render_tile(scene, &frame, tile, Kernel::fastest(), &mut pixels, &mut ());
         assert_eq!((counts.primary, counts.damaged), (tile.pixels() as u64, 0));
         bytes.extend(pixels);
     }
