@@ -13,7 +13,6 @@
 // order, is what `rt_core::render_tile` draws: see `bench/README.md`.
 #include "embree_api.hpp"
 
-#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -131,7 +130,8 @@ private:
     static const int columns = Packet<N>::columns, rows = Packet<N>::rows;
 
     RTCScene scene;
-    const Frame& frame;
+    // A copy: what is stored through pointers cannot be part of it, which vectorising needs to know.
+    Frame frame;
     Query query;
     alignas(64) typename Packet<N>::RayHit rays;
     alignas(64) typename Packet<N>::Ray shadows;
@@ -190,14 +190,13 @@ private:
 
     void store(int x, int y, uint8_t* picture)
     {
-        for (int row = 0; row < rows; row++) {
-            uint8_t* pixels = picture + size_t(y + row) * frame.width + x;
-            for (int column = 0; column < columns; column++) {
-                int k = row * columns + column;
-                float grey = is_hit(k) ? ALBEDO * (AMBIENT + DIFFUSE * cosine[k]) : BACKGROUND;
-                pixels[column] = uint8_t(std::min(grey * 255.0f + 0.5f, 255.0f));
-            }
+        uint8_t greys[N];
+        for (int k = 0; k < N; k++) {
+            float grey = is_hit(k) ? ALBEDO * (AMBIENT + DIFFUSE * cosine[k]) : BACKGROUND;
+            greys[k] = uint8_t(int(grey * 255.0f + 0.5f));
         }
+        for (int row = 0; row < rows; row++)
+            std::memcpy(picture + size_t(y + row) * frame.width + x, greys + row * columns, columns);
     }
 };
 
