@@ -36,7 +36,7 @@ use level::Level;
 use peer::Peer;
 use pinned::Pinned;
 use program::Programs;
-use race::Race;
+use race::{Race, Track};
 use rates::Rates;
 use structures::Structures;
 use subject::Subject;
@@ -103,9 +103,9 @@ fn races(
     effort: Effort,
 ) -> Result<Vec<(f32, Race)>> {
     let race = |radius: f32| {
-        let frames = subject.frames(radius, amount)?;
-        let name = format!("{} {radius}", subject.name);
-        Ok((radius, race::run(&name, image, peers, &frames, (amount, effort))?))
+        let (name, frames) = (format!("{} {radius}", subject.name), subject.frames(radius, amount)?);
+        let track = Track { name, frames, rounds: amount.rounds, effort };
+        Ok((radius, race::run(&track, image, peers)?))
     };
     subject.radii.into_iter().map(race).collect()
 }

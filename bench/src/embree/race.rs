@@ -3,7 +3,6 @@
 use anyhow::{Context, Result, ensure};
 use rt_core::{Flat, Frame, SceneView};
 
-use super::Amount;
 use super::drawn::Drawn;
 use super::level::Level;
 use super::ours::{KERNELS, Kernel, without_light};
@@ -12,7 +11,18 @@ use crate::experiment::Effort;
 use crate::quiet;
 use crate::spread::Spread;
 
-/// What everybody did on one subject from one distance.
+/// What is to be drawn, and how often.
+#[derive(Debug)]
+pub(super) struct Track {
+    pub(super) name: String,
+    /// At least one, all of one size.
+    pub(super) frames: Vec<Frame>,
+    /// Quiet rounds to make.
+    pub(super) rounds: usize,
+    pub(super) effort: Effort,
+}
+
+/// What everybody did on one track.
 #[derive(Debug)]
 pub(super) struct Race {
     pub(super) standings: Vec<Standing>,
@@ -69,18 +79,15 @@ struct Field<'a> {
 }
 
 /// Has everybody draw the frames, after asserting that they draw the same. `image` is ours of the scene.
-pub(super) fn run(
-    name: &str,
-    image: Option<&[u8]>,
-    peers: &mut [Peer],
-    frames: &[Frame],
-    (amount, effort): (Amount, Effort),
-) -> Result<Race> {
+pub(super) fn run(track: &Track, image: Option<&[u8]>, peers: &mut [Peer]) -> Result<Race> {
+    let Track { name, frames, rounds, effort } = track;
     let entrants = entrants(image.is_some(), peers);
     let scene = image.map(|image| SceneView::new(Flat::new(image))).transpose()?;
-    let mut field = Field { scene, peers, picture: vec![0; (amount.size * amount.size) as usize] };
-    field.expect_same_rays(&entrants, &frames[0]).with_context(|| name.to_owned())?;
-    let rounds = quiet::rounds(effort, name, amount.rounds, |_| field.round(&entrants, frames))?;
+    let first = frames.first().context("no frame to draw")?;
+    let picture = vec![0; first.width as usize * first.height as usize];
+    let mut field = Field { scene, peers, picture };
+    field.expect_same_rays(&entrants, first).with_context(|| name.clone())?;
+    let rounds = quiet::rounds(*effort, name, *rounds, |_| field.round(&entrants, frames))?;
     let laps = |index: usize| rounds.rounds.iter().map(|laps: &Vec<Lap>| laps[index]).collect();
     let standing = |(index, entrant)| Standing { entrant, frames: frames.len(), laps: laps(index) };
     let standings = entrants.into_iter().enumerate().map(standing).collect();
