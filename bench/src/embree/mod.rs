@@ -80,10 +80,11 @@ fn run(effort: Effort) -> Result<Findings> {
         rates.add(&subject, &races);
     }
     programs.notes.iter().for_each(|note| rates.note(note));
-    let (charts, [table, ratios], mut aims) = rates.finish();
+    let (charts, mut tables, mut aims) = rates.finish();
     let (builds, memory_aims) = structures.finish();
+    tables.push(builds);
     aims.extend(memory_aims);
-    Ok(Findings { tables: vec![table, ratios, builds], aims, plot: Some(Plot { charts }) })
+    Ok(Findings { tables, aims, plot: Some(Plot { charts }) })
 }
 
 /// Starts every program at every level on a subject.

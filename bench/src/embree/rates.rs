@@ -114,9 +114,10 @@ impl Rates {
         self.aims.extend(limit.map(|limit| Aim::at_least(what, ratio.median, limit)));
     }
 
-    /// The charts, both tables and the aims.
-    pub(super) fn finish(self) -> (Vec<Chart>, [Table; 2], Vec<Aim>) {
-        (self.charts, [self.all, self.ratios], self.aims)
+    /// The charts, the tables with anything in them, and the aims.
+    pub(super) fn finish(self) -> (Vec<Chart>, Vec<Table>, Vec<Aim>) {
+        let tables = [self.all, self.ratios].into_iter().filter(|table| !table.is_empty());
+        (self.charts, tables.collect(), self.aims)
     }
 }
 
