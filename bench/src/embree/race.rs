@@ -5,7 +5,7 @@ use rt_core::{Flat, Frame, SceneView};
 
 use super::drawn::Drawn;
 use super::level::Level;
-use super::ours::{KERNELS, Kernel, without_light};
+use super::ours::{Kernel, without_light};
 use super::peer::{Edges, Mode, Peer};
 use crate::experiment::Effort;
 use crate::quiet;
@@ -51,7 +51,7 @@ pub(super) struct Entrant {
 /// How an entrant draws.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Way {
-    Ours(&'static Kernel),
+    Ours(Kernel),
     Embree {
         /// Index of the peer.
         peer: usize,
@@ -96,10 +96,10 @@ pub(super) fn run(track: &Track, image: Option<&[u8]>, peers: &mut [Peer]) -> Re
 
 /// All of ours that this machine runs, and Embree in all modes; with fast edges at the widest level only.
 fn entrants(is_ours_here: bool, peers: &[Peer]) -> Vec<Entrant> {
-    let kernels = KERNELS.iter().filter(|kernel| is_ours_here && kernel.level.is_here());
+    let kernels = Kernel::all().filter(|_| is_ours_here);
     let ours = kernels.map(|kernel| Entrant {
-        name: format!("ours, {}", kernel.name),
-        level: kernel.level,
+        name: format!("ours, {}", kernel.name()),
+        level: kernel.level(),
         way: Way::Ours(kernel),
     });
     let widest = peers.iter().map(|peer| peer.level).max();
@@ -233,7 +233,7 @@ mod tests {
 
     #[test]
     fn ratios_are_of_laps_of_one_round() {
-        let entrant = Entrant { name: String::new(), level: Level::Portable, way: Way::Ours(&KERNELS[0]) };
+        let entrant = Entrant { name: String::new(), level: Level::Portable, way: Way::Ours(Kernel::RAYS) };
         let standing =
             |ms: [f64; 3]| Standing { entrant: entrant.clone(), frames: 1, laps: ms.map(lap).into() };
         let (fast, slow) = (standing([2.0, 4.0, 2.0]), standing([4.0, 8.0, 4.0]));

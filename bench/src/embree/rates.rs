@@ -2,7 +2,6 @@
 
 use super::Amount;
 use super::level::Level;
-use super::ours::RAY;
 use super::peer::Mode;
 use super::race::{Entrant, Lap, Race, Standing, Way};
 use super::subject::Subject;
@@ -83,7 +82,7 @@ impl Rates {
 
     /// Compares our ray kernel with Embree's single ray of the better version.
     fn compare_rays(&mut self, view: &View<'_>) {
-        let is_ray = |entrant: &Entrant| matches!(entrant.way, Way::Ours(kernel) if kernel.name == RAY);
+        let is_ray = |entrant: &Entrant| matches!(entrant.way, Way::Ours(kernel) if kernel.is_ray());
         let is_single = |entrant: &Entrant| {
             entrant.is_robust_embree() && matches!(entrant.way, Way::Embree { mode: Mode::Single, .. })
         };
