@@ -142,6 +142,15 @@ impl<M: SceneMemory> SceneView<M> {
     }
 }
 
+impl<M: SceneMemory> SceneView<M> {
+    /// Tells the memory that a cluster will be read soon.
+    #[inline]
+    pub(crate) fn prefetch_cluster(&self, place: &ClusterRef) {
+        let length = crate::cluster::cluster_bytes(place.vertices, place.triangles);
+        self.memory.prefetch(self.header.segments.clusters.offset.saturating_add(place.offset), length);
+    }
+}
+
 impl fmt::Display for Damaged {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

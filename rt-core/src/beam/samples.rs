@@ -4,8 +4,8 @@ use glam::Vec3;
 
 use super::edges::{Extent, Margins, cover};
 use super::frustum::{Borders, Depths};
-use super::projection::{DEPTH_EPSILON, Projected, Projection};
-use super::walk::{Targets, Triangles};
+use super::projection::{Projected, Projection};
+use super::walk::{Bounds, Targets, Triangles};
 use crate::cluster::{Cluster, Nearest};
 use crate::simd::{LANES, Mask, Simd, each};
 use crate::triangle_woop::WoopRay;
@@ -21,7 +21,7 @@ pub(super) struct Points {
     pub(super) count: usize,
 }
 
-/// The samples, in [`BINS`] rows of the projection plane, and among these by column.
+/// The samples, sorted into 8x8 *bins* of the projection plane.
 pub(super) struct Samples<'a> {
     points: &'a Points,
     light: Vec3,
@@ -31,12 +31,10 @@ pub(super) struct Samples<'a> {
     w: [f32; PADDED],
     /// Which point a sample is.
     point: [u8; SAMPLES_MAX],
-    /// Where the samples of each row begin.
-    row: [u16; BINS + 1],
-    /// The columns of each row that hold open samples, a bit each.
-    columns: [u32; BINS],
-    /// The same as bits of `f32`, to be looked up.
-    table: [[f32; LANES]; 2],
+    /// Where the samples of each bin begin, row by row.
+    bin: [u16; BINS * BINS + 1],
+    /// Bins that hold open samples, a bit each.
+    open_bins: u64,
     pub(super) shadowed: [bool; SAMPLES_MAX],
     depths: Depths,
     /// Samples shadowed since the depths were found.
@@ -44,8 +42,8 @@ pub(super) struct Samples<'a> {
     open: u32,
 }
 
-/// Rows, and columns, of the projection plane.
-const BINS: usize = 32;
+/// Rows of bins, and columns; a bin is one unit wide and high.
+const BINS: usize = 8;
 
 const PADDED: usize = SAMPLES_MAX + LANES;
 
@@ -86,22 +84,25 @@ impl Points {
         let x = unit(depth.cross(aside))?;
         let y = depth.cross(x);
         let plain = Projection::new(light, [x, y, depth], 0.5, 1.0)?;
-        let (mut low, mut high, mut slant) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2], 0.0_f32);
+        let infinite = s.splat(f32::INFINITY);
+        let (mut low, mut high) = ([infinite; 2], [infinite; 2]);
         for first in (0..self.count).step_by(LANES) {
             let Projected { x, y, w } = plain.project(s, self.load(s, first));
             if s.lt(s.splat(0.0), w) != Mask::MAX {
                 return None;
             }
-            low = [low[0].min(s.least(x)), low[1].min(s.least(y))];
+            low = [s.min(low[0], x), s.min(low[1], y)];
             let [x, y] = each!(2: [x, y], value => s.sub(s.splat(0.0), value));
-            high = [high[0].max(-s.least(x)), high[1].max(-s.least(y))];
+            high = [s.min(high[0], x), s.min(high[1], y)];
         }
-        slant = slant.max(low[0].abs().max(high[0].abs()) + low[1].abs().max(high[1].abs()));
+        let low = each!(2: low, value => s.least(value));
+        let high = each!(2: high, value => -s.least(value));
+        let slant = low[0].abs().max(high[0].abs()) + low[1].abs().max(high[1].abs());
         if slant > 0.75 {
             return None;
         }
         // At least so large that places on the plane can be told apart.
-        let unit = [0, 1].map(|axis: usize| ((high[axis] - low[axis]) * (1.0 / 31.0)).max(UNIT_MIN));
+        let unit = [0, 1].map(|axis: usize| ((high[axis] - low[axis]) * (1.0 / 7.875)).max(UNIT_MIN));
         let rows = [(x - depth * low[0]) / unit[0], (y - depth * low[1]) / unit[1], depth];
         Projection::new(light, rows, unit[0].max(unit[1]), 1.0 + slant)
     }
@@ -124,9 +125,8 @@ impl<'a> Samples<'a> {
             y: [0.0; PADDED],
             w: [f32::INFINITY; PADDED],
             point: [0; SAMPLES_MAX],
-            row: [0; BINS + 1],
-            columns: [0; BINS],
-            table: [[0.0; LANES]; 2],
+            bin: [0; BINS * BINS + 1],
+            open_bins: 0,
             shadowed: [false; SAMPLES_MAX],
             depths: Depths::new([f32::INFINITY; LANES]),
             news: 0,
@@ -137,50 +137,49 @@ impl<'a> Samples<'a> {
         samples
     }
 
-    /// The borders of the blocks into which the plane is cut.
+    /// The borders of the blocks into which the plane is cut: two bins each.
     pub(super) fn borders() -> [Borders; 2] {
-        [Borders { first: [0.0, 8.0, 16.0, 24.0], last: [8.0, 16.0, 24.0, 32.0] }; 2]
+        [Borders { first: [0.0, 2.0, 4.0, 6.0], last: [2.0, 4.0, 6.0, 8.0] }; 2]
     }
 
-    /// Puts the samples into rows: a counting sort.
+    /// Puts the samples into bins: a counting sort.
     #[inline(always)]
     fn sort(&mut self, [x, y, w]: &[[f32; PADDED]; 3]) {
-        let mut count = [0_u16; BINS + 1];
-        for &y in &y[..self.points.count] {
-            count[bin(y) + 1] += 1;
-        }
-        for row in 0..BINS {
-            self.row[row + 1] = self.row[row] + count[row + 1];
-        }
-        let mut next = self.row;
+        let mut bins = [0_u8; SAMPLES_MAX];
+        let mut count = [0_u16; BINS * BINS];
         for index in 0..self.points.count {
-            let row = bin(y[index]);
-            let to = usize::from(next[row]);
-            next[row] += 1;
+            let bin = bin(x[index], y[index]);
+            bins[index] = bin as u8;
+            count[bin] += 1;
+        }
+        for bin in 0..BINS * BINS {
+            self.bin[bin + 1] = self.bin[bin] + count[bin];
+            self.open_bins |= u64::from(count[bin] > 0) << bin;
+        }
+        let mut next = self.bin;
+        for index in 0..self.points.count {
+            let next = &mut next[usize::from(bins[index])];
+            let to = usize::from(*next);
+            *next += 1;
             (self.x[to], self.y[to], self.w[to]) = (x[index], y[index], w[index]);
             self.point[to] = index as u8;
-            self.columns[row] |= 1 << bin(x[index]);
-        }
-        self.refresh_table();
-    }
-
-    fn refresh_table(&mut self) {
-        for (entry, columns) in self.table.as_flattened_mut().iter_mut().zip(self.columns) {
-            *entry = f32::from_bits(columns);
         }
     }
 
     /// Finds anew what blocks wait for.
+    #[inline(always)]
     fn find_depths(&mut self) {
         let mut blocks = [f32::INFINITY; LANES];
-        for index in 0..self.points.count {
-            let block = &mut blocks[bin(self.y[index]) / 8 * 4 + bin(self.x[index]) / 8];
-            if self.w[index] < *block {
-                *block = self.w[index];
+        let mut bins = self.open_bins;
+        while bins != 0 {
+            let bin = bins.trailing_zeros() as usize;
+            bins &= bins - 1;
+            let block = &mut blocks[bin / 16 * 4 + bin % 8 / 2];
+            for &w in &self.w[usize::from(self.bin[bin])..usize::from(self.bin[bin + 1])] {
+                *block = if w < *block { w } else { *block };
             }
         }
-        // A sample does not see what touches it.
-        self.depths = Depths::new(blocks.map(|block| block * (1.0 - DEPTH_EPSILON)));
+        self.depths = Depths::new(blocks);
         self.news = 0;
     }
 
@@ -194,11 +193,11 @@ impl<'a> Samples<'a> {
         self.shadowed[usize::from(self.point[index])] = true;
         self.open -= 1;
         self.news += 1;
-        let row = bin(self.y[index]);
-        let (first, end) = (usize::from(self.row[row]), usize::from(self.row[row + 1]));
-        let open = (first..end).filter(|&at| self.w[at] < f32::INFINITY);
-        self.columns[row] = open.fold(0, |columns, at| columns | 1 << bin(self.x[at]));
-        self.table[row / LANES][row % LANES] = f32::from_bits(self.columns[row]);
+        let bin = bin(self.x[index], self.y[index]);
+        let of_bin = &self.w[usize::from(self.bin[bin])..usize::from(self.bin[bin + 1])];
+        if of_bin.iter().all(|&w| w == f32::INFINITY) {
+            self.open_bins &= !(1 << bin);
+        }
     }
 
     /// The ray of a sample to the light.
@@ -216,61 +215,31 @@ impl<'a> Samples<'a> {
         }
     }
 
-    /// Tests one triangle against the samples of the rows that it reaches over.
+    /// Tests a sample against the triangles in whose box it lies.
     #[inline(always)]
-    fn test_one<S: Simd>(&mut self, s: S, triangles: &Triangles<'_, S>, one: &One) {
-        let corners =
-            each!(3: one.corners, [x, y, w] => Projected { x: s.splat(x), y: s.splat(y), w: s.splat(w) });
-        let margins = Margins { edge: s.splat(one.edge), depth: s.splat(one.depth) };
-        let [first, last] = one.rows.map(|row| row as usize % BINS);
-        let (start, end) = (usize::from(self.row[first]), usize::from(self.row[last + 1]));
-        for first in (start..end).step_by(LANES) {
-            let depth = s.load(chunk(&self.w, first));
-            let lanes = s.lt(depth, s.splat(one.near)) & first_lanes(end - first);
-            if lanes == 0 {
-                continue;
-            }
-            let place = (s.load(chunk(&self.x, first)), s.load(chunk(&self.y, first)));
-            let lanes = lanes
-                & s.le(s.splat(one.columns[0]), place.0)
-                & s.le(place.0, s.splat(one.columns[1]))
-                & s.le(s.splat(one.heights[0]), place.1)
-                & s.le(place.1, s.splat(one.heights[1]));
-            if lanes == 0 {
-                continue;
-            }
-            let Some(covered) = cover(s, &corners, place, &margins, lanes) else { continue };
-            let margin = s.mul(depth, s.splat(DEPTH_EPSILON));
-            let certain = covered.sure & s.lt(s.add(depth, margin), covered.low);
-            let behind = s.lt(covered.high, s.sub(depth, margin));
-            let mut open = covered.candidates & !behind;
-            while open != 0 {
-                let lane = open.trailing_zeros() as usize;
-                open &= open - 1;
-                if certain >> lane & 1 != 0 {
-                    self.close(first + lane);
-                } else {
-                    self.decide(first + lane, triangles.cluster.triangle(triangles.first + one.at));
-                }
-            }
+    fn test_sample<S: Simd>(
+        &mut self,
+        s: S,
+        index: usize,
+        triangles: &Triangles<'_, S>,
+        margins: &Margins<S::F>,
+        lanes: Mask,
+    ) {
+        let place = (s.splat(self.x[index]), s.splat(self.y[index]));
+        let Some(covered) = cover(s, triangles, place, margins, lanes) else { return };
+        let depth = s.splat(self.w[index]);
+        let candidates = covered.candidates & s.le(depth, covered.high);
+        if candidates & covered.sure & s.lt(depth, covered.low) != 0 {
+            self.close(index);
+            return;
+        }
+        let mut open = candidates;
+        while open != 0 && self.w[index] < f32::INFINITY {
+            let lane = open.trailing_zeros() as usize;
+            open &= open - 1;
+            self.decide(index, triangles.cluster.triangle(triangles.first + lane));
         }
     }
-}
-
-/// One triangle against samples.
-struct One {
-    corners: [[f32; 3]; 3],
-    edge: f32,
-    depth: f32,
-    /// Its greatest inverse depth, and a little more.
-    near: f32,
-    /// Its box, and a little more.
-    columns: [f32; 2],
-    heights: [f32; 2],
-    /// First and last row of bins.
-    rows: [i32; 2],
-    /// Its lane.
-    at: usize,
 }
 
 impl<S: Simd> Targets<S> for Samples<'_> {
@@ -282,56 +251,46 @@ impl<S: Simd> Targets<S> for Samples<'_> {
         &self.depths
     }
 
+    /// The open bins that the cluster reaches over.
+    #[inline(always)]
+    fn interest(&mut self, _: S, bounds: &Bounds) -> u64 {
+        if bounds.near < self.depths.least {
+            return 0;
+        }
+        let (Some((left, right)), Some((top, bottom))) =
+            (lines(bounds.left, bounds.right), lines(bounds.top, bounds.bottom))
+        else {
+            return 0;
+        };
+        let columns = (0xff >> (BINS - 1 - (right - left)) << left) * 0x0101_0101_0101_0101;
+        let rows = u64::MAX >> (BINS * (BINS - 1 - (bottom - top))) << (BINS * top);
+        self.open_bins & rows & columns
+    }
+
     #[inline(always)]
     fn test(&mut self, s: S, triangles: &Triangles<'_, S>) {
         let extent = Extent::of(s, &triangles.corners);
         let delta = s.splat(triangles.delta);
-        let near = s.mul(extent.near, s.splat(1.0 + 4.0 * DEPTH_EPSILON));
-        let (zero, end) = (s.splat(0.0), s.splat(BINS as f32 - 1.0));
+        let near = s.mul(extent.near, s.splat(1.0 + triangles.depth_epsilon));
         let (left, right) = (s.sub(extent.left, delta), s.add(extent.right, delta));
         let (top, bottom) = (s.sub(extent.top, delta), s.add(extent.bottom, delta));
-        let lanes = s.le(left, s.splat(BINS as f32))
-            & s.le(zero, right)
-            & s.le(top, s.splat(BINS as f32))
-            & s.le(zero, bottom)
-            & s.le(s.splat(self.depths.least), near)
-            & triangles.lanes;
-        if lanes == 0 {
-            return;
-        }
-        let columns = each!(2: [left, right], value => s.to_int(s.min(s.max(value, zero), end)));
-        let rows = each!(2: [top, bottom], value => s.to_int(s.min(s.max(value, zero), end)));
-        // The columns between the first and the last, as bits.
-        let span = s.sub_int(columns[1], columns[0]);
-        let bits = s.sub_int(s.shift_left(s.splat_int(2), span), s.splat_int(1));
-        let between = s.min(s.add(s.to_float(rows[0]), s.splat(1.0)), s.to_float(rows[1]));
-        let held = each!(3: [rows[0], s.to_int(between), rows[1]], row => s.bits(s.lookup(&self.table, row)));
-        let held = s.or(s.or(held[0], held[1]), held[2]);
-        let is_tall = s.lt(s.splat(2.0), s.to_float(s.sub_int(rows[1], rows[0])));
-        let mut lanes = lanes & (is_tall | s.meet(s.shift_right(held, columns[0]), bits));
-        if lanes == 0 {
-            return;
-        }
-        let corners =
-            each!(3: triangles.corners, corner => [s.array(corner.x), s.array(corner.y), s.array(corner.w)]);
         let margins = extent.margins(s, triangles.delta);
-        let [edge, depth, near] = each!(3: [margins.edge, margins.depth, near], value => s.array(value));
-        let [left, right, top, bottom] = each!(4: [left, right, top, bottom], value => s.array(value));
-        let rows = each!(2: rows, row => s.int_array(row));
-        while lanes != 0 {
-            let at = lanes.trailing_zeros() as usize;
-            lanes &= lanes - 1;
-            let one = One {
-                corners: [0, 1, 2].map(|corner| [0, 1, 2].map(|axis: usize| corners[corner][axis][at])),
-                edge: edge[at],
-                depth: depth[at],
-                near: near[at],
-                columns: [left[at], right[at]],
-                heights: [top[at], bottom[at]],
-                rows: [rows[0][at], rows[1][at]],
-                at,
-            };
-            self.test_one(s, triangles, &one);
+        let mut bins = triangles.interest & self.open_bins;
+        while bins != 0 {
+            let bin = bins.trailing_zeros() as usize % (BINS * BINS);
+            bins &= bins - 1;
+            for index in usize::from(self.bin[bin])..usize::from(self.bin[bin + 1]) {
+                let (x, y) = (s.splat(self.x[index]), s.splat(self.y[index]));
+                let lanes = s.le(left, x)
+                    & s.le(x, right)
+                    & s.le(top, y)
+                    & s.le(y, bottom)
+                    & s.lt(s.splat(self.w[index]), near)
+                    & triangles.lanes;
+                if lanes != 0 {
+                    self.test_sample(s, index, triangles, &margins, lanes);
+                }
+            }
         }
     }
 
@@ -348,10 +307,22 @@ impl<S: Simd> Targets<S> for Samples<'_> {
     }
 }
 
+/// The first and last row, or column, from one place to another.
+#[inline(always)]
+fn lines(first: f32, last: f32) -> Option<(usize, usize)> {
+    (last >= 0.0 && first <= BINS as f32).then(|| (line(first), line(last)))
+}
+
+/// The bin of a place.
+#[inline(always)]
+fn bin(x: f32, y: f32) -> usize {
+    line(y) * BINS + line(x)
+}
+
 /// The row, or column, of a place.
 #[inline(always)]
-fn bin(place: f32) -> usize {
-    (place.max(0.0) as usize).min(BINS - 1)
+fn line(place: f32) -> usize {
+    place.max(0.0).min(BINS as f32 - 1.0) as usize
 }
 
 /// Sixteen entries from `first` on.
@@ -380,4 +351,4 @@ fn unit(v: Vec3) -> Option<Vec3> {
 }
 
 /// Smallest unit, as an angle.
-const UNIT_MIN: f32 = 1.0 / 8192.0;
+const UNIT_MIN: f32 = 1.0 / 2048.0;

@@ -3,7 +3,7 @@
 
 use core::arch::x86_64::*;
 
-use super::{Kind, LANES, Mask, Simd, Task};
+use super::{Kind, LANES, Mask, Part, Simd, Task};
 
 /// The proof that the processor has AVX2.
 #[derive(Clone, Copy)]
@@ -20,6 +20,12 @@ pub(super) fn run<T: Task>(task: T, kind: Kind) -> T::Output {
 #[target_feature(enable = "avx2,bmi1,popcnt")]
 fn run_there<T: Task>(task: T) -> T::Output {
     task.run(Avx2(()))
+}
+
+#[target_feature(enable = "avx2,bmi1,popcnt")]
+#[inline(never)]
+fn run_apart<T: Part<Avx2>>(part: T, s: Avx2) -> T::Output {
+    part.run(s)
 }
 
 /// An intrinsic.
@@ -91,6 +97,11 @@ impl Simd for Avx2 {
     type F = [__m256; 2];
     type I = [__m256i; 2];
     type D = [__m256d; 4];
+
+    #[inline(always)]
+    fn apart<T: Part<Self>>(self, part: T) -> T::Output {
+        with!(run_apart(part, self))
+    }
 
     #[inline(always)]
     fn splat(self, value: f32) -> Self::F {

@@ -71,6 +71,7 @@ mod avx512;
 #[cfg(target_arch = "x86_64")]
 mod detect;
 mod portable;
+mod prefetch;
 #[cfg(test)]
 mod tests;
 
@@ -78,6 +79,7 @@ use core::fmt;
 use core::str::FromStr;
 
 use portable::Portable;
+pub(crate) use prefetch::prefetch;
 
 /// Sixteen bits, one for each lane, the lowest for the first.
 pub(crate) type Mask = u16;
@@ -96,6 +98,10 @@ pub(crate) trait Simd: Copy {
     type I: Copy;
     /// Sixteen `f64`.
     type D: Copy;
+
+    /// Runs a part of a task as a function of its own. Large bodies of code that are used together leave each other too
+    /// few registers; this keeps hot loops apart.
+    fn apart<T: Part<Self>>(self, part: T) -> T::Output;
 
     fn splat(self, value: f32) -> Self::F;
     fn load(self, from: &[f32; LANES]) -> Self::F;
@@ -191,6 +197,12 @@ pub(crate) trait Simd: Copy {
 pub(crate) trait Task {
     type Output;
     fn run<S: Simd>(self, s: S) -> Self::Output;
+}
+
+/// A part of a task, for lanes that are known.
+pub(crate) trait Part<S> {
+    type Output;
+    fn run(self, s: S) -> Self::Output;
 }
 
 /// The instance of the kernels: which instructions sixteen lanes are made of. All give the same bits.

@@ -5,11 +5,16 @@
     reason = "conversions are what is asked for; indices are masked"
 )]
 
-use super::{LANES, Mask, Simd};
+use super::{LANES, Mask, Part, Simd};
 
 /// Plain arrays.
 #[derive(Clone, Copy)]
 pub(super) struct Portable;
+
+#[inline(never)]
+fn run_apart<T: Part<Portable>>(part: T, s: Portable) -> T::Output {
+    part.run(s)
+}
 
 #[inline(always)]
 fn map<A: Copy, B: Copy, R>(a: [A; LANES], b: [B; LANES], of: impl Fn(A, B) -> R) -> [R; LANES] {
@@ -25,6 +30,11 @@ impl Simd for Portable {
     type F = [f32; LANES];
     type I = [i32; LANES];
     type D = [f64; LANES];
+
+    #[inline(always)]
+    fn apart<T: Part<Self>>(self, part: T) -> T::Output {
+        run_apart(part, self)
+    }
 
     #[inline(always)]
     fn splat(self, value: f32) -> Self::F {
