@@ -11,6 +11,9 @@
 //! clusters it meets ([`cluster`], [`triangle_woop`]) and answers with a [`Hit`]. [`render_tile`] does so for
 //! the rays of one tile of a [`Frame`], with a hard shadow each.
 //!
+//! Embedders also find [any hits](SceneView::any), [filters](SceneView::nearest_filtered) that pass hits through,
+//! and [other triangle tests](triangle_test).
+//!
 //! # Same bits everywhere
 //! Whatever decides a result uses only `+ - * /` and `sqrt` in one stated order, without fused multiply-add,
 //! so every machine computes the same bits. Only culling uses vector types; it is conservative, and its
@@ -48,6 +51,7 @@ pub mod brute;
 pub mod camera;
 pub mod cluster;
 mod count;
+pub mod filter;
 mod frame;
 pub mod grid;
 pub mod grid_ray;
@@ -59,6 +63,9 @@ pub mod scale;
 pub mod schedule;
 pub mod shade;
 mod tile;
+pub mod triangle_f64;
+pub mod triangle_moller;
+pub mod triangle_test;
 pub mod triangle_woop;
 mod view;
 pub mod walk;
