@@ -50,6 +50,17 @@ pub fn judge(surface: &Surface, ray: &Ray, hit: f32) -> Pass {
     pass
 }
 
+/// Whether rounding may move an edge of the surface's first triangle over the ray.
+pub fn is_at_an_edge(surface: &Surface, ray: &Ray) -> bool {
+    let view = View::new(surface, ray);
+    (0..3).any(|corner| view.is_within_rounding(Side { triangle: 0, corner }))
+}
+
+/// Lowest and highest `t` that rounding may give to a hit of the surface's first triangle.
+pub fn range_of_t(surface: &Surface, ray: &Ray) -> (f64, f64) {
+    View::new(surface, ray).range_of_t(0)
+}
+
 /// A surface seen along a ray.
 struct View<'a> {
     surface: &'a Surface,
