@@ -88,7 +88,7 @@ fn mark_repeated(mesh: &Mesh, group: &mut [Entry]) {
 }
 
 /// The grid's cells along the Morton curve, in `f64`: sums of coordinates and cell edges are exact there.
-struct Curve {
+pub(super) struct Curve {
     origin: [f64; 3],
     /// Edge of a finest cell.
     finest: f64,
@@ -97,13 +97,18 @@ struct Curve {
 }
 
 impl Curve {
-    fn new(grid: &GridShape) -> Self {
+    pub(super) fn new(grid: &GridShape) -> Self {
         Self {
             origin: grid.origin.to_array().map(f64::from),
             finest: f64::from(grid.size) / f64::from(1_u32 << (2 * grid.levels)),
             slack: f64::from(grid.slack),
             levels: grid.levels,
         }
+    }
+
+    /// Index of the finest cell that holds the triangle's middle: three bits for each halving of the grid.
+    pub(super) fn code(&self, corners: [Vec3; 3]) -> u64 {
+        self.entry(corners, 0).key >> DEPTH_BITS
     }
 
     fn entry(&self, [a, b, c]: [Vec3; 3], id: u32) -> Entry {
