@@ -7,6 +7,7 @@ pub mod pass;
 pub mod reference;
 pub mod shapes;
 pub mod surface;
+pub mod target;
 
 use glam::Vec3;
 use proptest::prelude::*;
