@@ -79,7 +79,7 @@ const CROWD: usize = 1024;
 const CROWDED_SHARE: f32 = 1.0 / 256.0;
 
 /// Triangles that are looked at, or up to half as many.
-const SAMPLES: usize = 1 << 15;
+const SAMPLES: usize = 1 << 13;
 
 /// Fewer samples than this in one cell may be chance.
 const SAMPLES_MIN: usize = 8;
