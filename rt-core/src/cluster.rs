@@ -9,6 +9,7 @@
 use glam::Vec3;
 
 use crate::count::Count;
+use crate::filter::Filter;
 use crate::grid::{ClusterRef, TRIANGLES_MAX, VERTICES_MAX};
 use crate::ray::Primitive;
 use crate::triangle_woop::{Crossing, Sheared, WoopRay, cross};
@@ -125,7 +126,19 @@ impl<'a> Cluster<'a> {
     /// Offers every triangle that the ray hits to `nearest`; with `ANY`, stops at the first.
     ///
     /// The plain way to the same result is [`WoopRay::intersect`] for each triangle.
+    #[inline]
     pub fn intersect<const ANY: bool>(&self, ray: &WoopRay, nearest: &mut Nearest, count: &mut impl Count) {
+        self.intersect_filtered::<ANY>(ray, nearest, &mut (), count);
+    }
+
+    /// As [`intersect`](Self::intersect), for the triangles whose hits `filter` accepts.
+    pub fn intersect_filtered<const ANY: bool>(
+        &self,
+        ray: &WoopRay,
+        nearest: &mut Nearest,
+        filter: &mut impl Filter,
+        count: &mut impl Count,
+    ) {
         count.cluster();
         count.triangles(u32::from(self.place.triangles));
         let sheared = self.shear(ray, nearest.crossing.t);
@@ -135,7 +148,11 @@ impl<'a> Cluster<'a> {
             candidates &= candidates - 1;
             let [a, b, c] = self.corners.map(|corners| sheared.corner(corners[index]));
             if let Some(crossing) = cross(a, b, c, nearest.crossing.t) {
-                nearest.offer(crossing, self.primitive(index), self.triangle(index));
+                let (primitive, corners) = (self.primitive(index), self.triangle(index));
+                if !filter.accepts(&crossing, primitive, corners) {
+                    continue;
+                }
+                nearest.offer(crossing, primitive, corners);
                 if ANY {
                     return;
                 }

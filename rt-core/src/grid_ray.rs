@@ -7,16 +7,17 @@ use glam::{Vec3, Vec4};
 use crate::cluster::Nearest;
 use crate::grid::{BoxFrame, FLIP_AXIS, GridShape};
 use crate::image::Header;
-use crate::ray::{Hit, Ray};
+use crate::ray::{Hit, Primitive, Ray};
 use crate::scale::{Scale, exponent_of, power_of_two};
 use crate::shade;
+use crate::triangle_test::TriangleTest;
 use crate::triangle_woop::{Crossing, WoopRay};
 
 /// A ray brought into grid space: coordinates by the image's scale, the direction normalised by a power of
-/// two. Both are exact.
+/// two. Both are exact. `T` is the triangle test that it is prepared for.
 #[derive(Clone, Copy, Debug)]
-pub struct GridRay {
-    woop: WoopRay,
+pub struct GridRay<T = WoopRay> {
+    test: T,
     origin: Vec3,
     direction: Vec3,
     /// One over the direction, tiny components replaced.
@@ -35,8 +36,7 @@ impl GridRay {
     /// Brings a ray of world units into the grid of an image; `None` when it is a stated miss (see [`Ray`]).
     #[inline]
     pub fn from_world(ray: &Ray, header: &Header) -> Option<Self> {
-        let scale = header.scale();
-        Self::new(scale.apply_to(ray.origin), ray.direction, ray.t_max, scale, &header.grid)
+        Self::for_test(ray, header)
     }
 
     /// A ray whose origin is in grid units and whose direction and `t_max` are such that `scale` takes them
@@ -49,6 +49,25 @@ impl GridRay {
         scale: Scale,
         grid: &GridShape,
     ) -> Option<Self> {
+        Self::prepare(origin, direction, t_max, scale, grid)
+    }
+
+    /// The ray as the default triangle test wants it.
+    pub const fn woop(&self) -> &WoopRay {
+        &self.test
+    }
+}
+
+impl<T: TriangleTest> GridRay<T> {
+    /// As [`from_world`](GridRay::from_world), for any triangle test.
+    #[inline]
+    pub fn for_test(ray: &Ray, header: &Header) -> Option<Self> {
+        let scale = header.scale();
+        Self::prepare(scale.apply_to(ray.origin), ray.direction, ray.t_max, scale, &header.grid)
+    }
+
+    #[inline]
+    fn prepare(origin: Vec3, direction: Vec3, t_max: f32, scale: Scale, grid: &GridShape) -> Option<Self> {
         let reach = (origin - grid.origin).abs() + grid.size;
         let longest = direction.abs().max_element();
         // Comparisons are written so that a NaN anywhere fails them.
@@ -65,7 +84,7 @@ impl GridRay {
         let allowance = reach * power_of_two(-18) + reach.max_element() * power_of_two(-58);
         let negative = |axis: usize| if inverse[axis] < 0.0 { FLIP_AXIS[axis] } else { 0 };
         Some(Self {
-            woop: WoopRay::new(origin, direction),
+            test: T::new(origin, direction),
             origin,
             direction,
             inverse,
@@ -77,9 +96,9 @@ impl GridRay {
         })
     }
 
-    /// The ray as the triangle test wants it.
-    pub const fn woop(&self) -> &WoopRay {
-        &self.woop
+    /// The ray as its triangle test wants it.
+    pub const fn test(&self) -> &T {
+        &self.test
     }
 
     /// Largest `t` of interest, in grid units.
@@ -96,9 +115,15 @@ impl GridRay {
     #[inline]
     pub fn hit(&self, nearest: &Nearest) -> Option<Hit> {
         let (primitive, corners) = nearest.triangle?;
-        let Crossing { t, u, v } = nearest.crossing;
+        Some(self.hit_at(&nearest.crossing, primitive, corners))
+    }
+
+    /// A crossing in the caller's units.
+    #[inline]
+    pub(crate) fn hit_at(&self, crossing: &Crossing, primitive: Primitive, corners: [Vec3; 3]) -> Hit {
+        let Crossing { t, u, v } = *crossing;
         let normal = shade::normal(corners, self.direction);
-        Some(Hit { t: self.caller_from_grid.apply(t), u, v, primitive, normal })
+        Hit { t: self.caller_from_grid.apply(t), u, v, primitive, normal }
     }
 
     /// The cells of the branch at `corner` that the ray enters before `t_max`, in Morton order.

@@ -11,6 +11,9 @@
 //! clusters it meets ([`cluster`], [`triangle_woop`]) and answers with a [`Hit`]. [`render_tile`] does so for
 //! the rays of one tile of a [`Frame`], with a hard shadow each.
 //!
+//! Embedders also find [any hits](SceneView::any), [packets of 16 rays](SceneView::nearest16) under a mask,
+//! [filters](SceneView::nearest_filtered) that pass hits through, and [other triangle tests](triangle_test).
+//!
 //! # Same bits everywhere
 //! Whatever decides a result uses only `+ - * /` and `sqrt` in one stated order, without fused multiply-add,
 //! so every machine computes the same bits. Only culling uses vector types; it is conservative, and its
@@ -49,19 +52,25 @@ pub mod brute;
 pub mod camera;
 pub mod cluster;
 mod count;
+pub mod filter;
 mod frame;
+mod geometry;
 pub mod grid;
 pub mod grid_ray;
 pub mod image;
 mod kernel;
 mod memory;
 mod needs;
+mod packet;
 mod ray;
 pub mod scale;
 pub mod schedule;
 pub mod shade;
 mod simd;
 mod tile;
+pub mod triangle_f64;
+pub mod triangle_moller;
+pub mod triangle_test;
 pub mod triangle_woop;
 mod view;
 pub mod walk;
@@ -69,10 +78,12 @@ pub mod walk;
 pub use camera::{Camera, Orbit};
 pub use count::{Count, TileCounts, WorkCounts};
 pub use frame::{Frame, FrameError};
+pub use geometry::GeometryId;
 pub use image::{Bounds, Header, HeaderError};
 pub use kernel::Kernel;
 pub use memory::{Flat, SceneMemory};
 pub use needs::SceneNeeds;
+pub use packet::{Hits16, Packet16};
 pub use ray::{Hit, Primitive, Ray};
 pub use simd::{Lanes, LanesError};
 pub use tile::{TILE_SIZE, Tile, TileId, Tiles, render_tile};

@@ -128,7 +128,7 @@ fn decide(a: Sheared, b: Sheared, c: Sheared, t_max: f32) -> Option<Crossing> {
 
 /// Whether the weights lie strictly on both sides of `zero`.
 #[inline]
-fn opposite<F: PartialOrd>([u, v, w]: [F; 3], zero: F) -> bool {
+pub(crate) fn opposite<F: PartialOrd>([u, v, w]: [F; 3], zero: F) -> bool {
     (u < zero || v < zero || w < zero) && (u > zero || v > zero || w > zero)
 }
 

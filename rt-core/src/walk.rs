@@ -36,10 +36,13 @@ use glam::Vec3;
 
 use crate::cluster::{Cluster, Nearest};
 use crate::count::Count;
+use crate::filter::Filter;
 use crate::grid::{BoxFrame, Branch, ClusterRef, LEVELS_MAX, LeafContent, cell_coordinates, flip_cells};
 use crate::grid_ray::GridRay;
 use crate::image::Header;
 use crate::memory::SceneMemory;
+use crate::triangle_test::TriangleTest;
+use crate::triangle_woop::WoopRay;
 use crate::view::{Damaged, SceneView};
 
 /// Finds the nearest hit of `ray`, or with `ANY` some hit.
@@ -55,16 +58,31 @@ pub fn walk<M: SceneMemory, C: Count, const ANY: bool>(
     ray: &GridRay,
     count: &mut C,
 ) -> Result<Nearest, Damaged> {
-    let mut walk =
-        Walk { scene, ray, count, nearest: Nearest::none(ray.t_max()), budget: Budget::of(scene.header()) };
+    walk_with::<M, WoopRay, (), C, ANY>(scene, ray, &mut (), count)
+}
+
+/// As [`walk`], with any triangle test, and only hits that `filter` accepts.
+///
+/// # Errors
+/// As [`walk`].
+#[inline]
+pub fn walk_with<M: SceneMemory, T: TriangleTest, F: Filter, C: Count, const ANY: bool>(
+    scene: &SceneView<M>,
+    ray: &GridRay<T>,
+    filter: &mut F,
+    count: &mut C,
+) -> Result<Nearest, Damaged> {
+    let (nearest, budget) = (Nearest::none(ray.t_max()), Budget::of(scene.header()));
+    let mut walk = Walk { scene, ray, filter, count, nearest, budget };
     walk.run::<ANY>()?;
     Ok(walk.nearest)
 }
 
 /// A walk under way.
-struct Walk<'a, M, C> {
+struct Walk<'a, M, T, F, C> {
     scene: &'a SceneView<M>,
-    ray: &'a GridRay,
+    ray: &'a GridRay<T>,
+    filter: &'a mut F,
     count: &'a mut C,
     nearest: Nearest,
     budget: Budget,
@@ -100,7 +118,7 @@ impl Visit {
     }
 }
 
-impl<M: SceneMemory, C: Count> Walk<'_, M, C> {
+impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, M, T, F, C> {
     fn run<const ANY: bool>(&mut self) -> Result<(), Damaged> {
         let grid = self.scene.header().grid;
         let mut visit = self.enter(0, grid.origin, grid.size * 0.25)?;
@@ -202,7 +220,7 @@ impl<M: SceneMemory, C: Count> Walk<'_, M, C> {
     fn visit_cluster<const ANY: bool>(&mut self, place: &ClusterRef) -> Result<(), Damaged> {
         let record = self.scene.cluster(place)?;
         let cluster = Cluster::new(&record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
-        cluster.intersect::<ANY>(self.ray.woop(), &mut self.nearest, self.count);
+        self.ray.test().intersect_cluster::<ANY>(&cluster, &mut self.nearest, self.filter, self.count);
         Ok(())
     }
 }

@@ -3,6 +3,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 use rt_core::grid::GridShape;
+use xxhash_rust::xxh3::xxh3_64;
 
 use super::prepare::{corners, is_collapsed};
 use crate::mesh::Mesh;
@@ -36,13 +37,18 @@ impl Entry {
 }
 
 /// All triangles of the mesh that are not collapsed, sorted.
+///
+/// Collapsed ones sort last and are cut off: so the entries are laid down once, in place.
 pub(super) fn sorted(mesh: &Mesh, grid: &GridShape) -> Vec<Entry> {
     let curve = Curve::new(grid);
     let numbered = mesh.triangles.par_iter().zip(0_u32..u32::MAX);
-    let kept = numbered.filter(|(triangle, _)| !is_collapsed(mesh, **triangle));
-    let mut entries: Vec<Entry> =
-        kept.map(|(&triangle, id)| curve.entry(corners(mesh, triangle), id)).collect();
+    let entry = |(&triangle, id): (&[u32; 3], u32)| match is_collapsed(mesh, triangle) {
+        true => Entry { key: COLLAPSED, id },
+        false => curve.entry(corners(mesh, triangle), id),
+    };
+    let mut entries: Vec<Entry> = numbered.map(entry).collect();
     entries.par_sort_unstable();
+    entries.truncate(entries.partition_point(|entry| entry.key < COLLAPSED));
     entries
 }
 
@@ -50,25 +56,39 @@ pub(super) fn sorted(mesh: &Mesh, grid: &GridShape) -> Vec<Entry> {
 /// how many.
 ///
 /// A ray would hit both at the same `t`, and the earlier one wins ties, so the later one could never be seen.
+/// Works in place: where all triangles are equal, a copy of their corners would be larger than the mesh.
 pub(super) fn drop_repeated(mesh: &Mesh, entries: &mut Vec<Entry>) -> u64 {
+    let before = entries.len();
+    for group in entries.chunk_by_mut(|a, b| a.key == b.key).filter(|group| group.len() > 1) {
+        mark_repeated(mesh, group);
+    }
+    entries.retain(|entry| entry.key != REPEATED);
+    (before - entries.len()) as u64
+}
+
+/// Gives every entry of a group of equal keys that repeats an earlier triangle the key [`REPEATED`].
+fn mark_repeated(mesh: &Mesh, group: &mut [Entry]) {
     let corners_of = |entry: &Entry| {
         mesh.triangles[entry.id as usize].map(|v| mesh.positions[v as usize].map(f32::to_bits))
     };
-    let mut repeated = Vec::new();
-    for group in entries.chunk_by(|a, b| a.key == b.key).filter(|group| group.len() > 1) {
-        let mut sorted: Vec<_> = group.iter().map(|entry| (corners_of(entry), entry.id)).collect();
-        sorted.sort_unstable();
-        repeated.extend(sorted.windows(2).filter(|pair| pair[0].0 == pair[1].0).map(|pair| pair[1].1));
+    let key = group[0].key;
+    // Sort by a hash first: corners are far away in memory.
+    group.iter_mut().for_each(|entry| entry.key = xxh3_64(bytemuck::bytes_of(&corners_of(entry))));
+    group.sort_unstable();
+    for suspects in group.chunk_by_mut(|a, b| a.key == b.key) {
+        suspects.sort_unstable_by_key(|entry| (corners_of(entry), entry.id));
+        let mut last = None;
+        for entry in suspects {
+            let corners = Some(corners_of(entry));
+            entry.key = if corners == last { REPEATED } else { key };
+            last = corners;
+        }
     }
-    repeated.sort_unstable();
-    if !repeated.is_empty() {
-        entries.retain(|entry| repeated.binary_search(&entry.id).is_err());
-    }
-    repeated.len() as u64
+    group.sort_unstable_by_key(|entry| entry.id);
 }
 
 /// The grid's cells along the Morton curve, in `f64`: sums of coordinates and cell edges are exact there.
-struct Curve {
+pub(super) struct Curve {
     origin: [f64; 3],
     /// Edge of a finest cell.
     finest: f64,
@@ -77,13 +97,18 @@ struct Curve {
 }
 
 impl Curve {
-    fn new(grid: &GridShape) -> Self {
+    pub(super) fn new(grid: &GridShape) -> Self {
         Self {
             origin: grid.origin.to_array().map(f64::from),
             finest: f64::from(grid.size) / f64::from(1_u32 << (2 * grid.levels)),
             slack: f64::from(grid.slack),
             levels: grid.levels,
         }
+    }
+
+    /// Index of the finest cell that holds the triangle's middle: three bits for each halving of the grid.
+    pub(super) fn code(&self, corners: [Vec3; 3]) -> u64 {
+        self.entry(corners, 0).key >> DEPTH_BITS
     }
 
     fn entry(&self, [a, b, c]: [Vec3; 3], id: u32) -> Entry {
@@ -131,6 +156,12 @@ const fn spread(value: u32) -> u64 {
     bits = (bits | bits << 4) & 0x10c3_0c30_c30c_30c3;
     (bits | bits << 2) & 0x1249_2492_4924_9249
 }
+
+/// The key of a collapsed triangle; no depth is that large.
+const COLLAPSED: u64 = u64::MAX;
+
+/// The key of a triangle that repeats an earlier one; no depth is that large.
+const REPEATED: u64 = u64::MAX;
 
 /// Bits of a key that hold the depth; six for each of ten levels are left.
 const DEPTH_BITS: u32 = 4;

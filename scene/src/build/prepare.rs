@@ -7,6 +7,7 @@ use rt_core::grid::{GridShape, LEVELS_MAX};
 use rt_core::image::SCALE_EXPONENT_MAX;
 use rt_core::scale::{Scale, exponent_of, power_of_two};
 
+use super::crowd::uncrowded;
 use super::{BuildError, BuildOptions};
 use crate::mesh::Mesh;
 
@@ -38,7 +39,7 @@ pub(super) fn prepare(mut mesh: Mesh, options: &BuildOptions) -> Result<Prepared
     let typical_edge = typical_edge(&mesh);
     let mut grid =
         cube_around(&Bounds { low: scale.apply_to(bounds.low), high: scale.apply_to(bounds.high) });
-    grid.slack = (options.slack.max(0.0) * typical_edge).min(grid.size);
+    grid.slack = uncrowded(&mesh, &grid, (options.slack.max(0.0) * typical_edge).min(grid.size));
     Ok(Prepared { mesh, bounds, grid, typical_edge, scale_exponent })
 }
 
