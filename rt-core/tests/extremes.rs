@@ -8,7 +8,9 @@ use common::{Dice, agree, meshes, ray_plans, reference, shapes};
 use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::camera::OrbitPlace;
-use rt_core::{Flat, Frame, Hit, Orbit, Packet16, Primitive, Ray, SceneView, Tiles, WorkCounts, render_tile};
+use rt_core::{
+    Flat, Frame, Hit, Kernel, Orbit, Packet16, Primitive, Ray, SceneView, Tiles, WorkCounts, render_tile,
+};
 use scene::{BuildError, BuildOptions, Mesh, build, builtin};
 
 #[global_allocator]
@@ -284,10 +286,12 @@ fn a_whole_frame_is_drawn_without_an_allocation() {
     let frame = Frame::on_orbit(&orbit, &place, 64, 64).expect("a valid frame");
     let tiles = Tiles::of(frame.width, frame.height);
     let mut pixels = vec![0; 64 * 64];
-    for tile in tiles.ids().filter_map(|id| tiles.get(id)) {
-        let draw = || render_tile(&view, &frame, tile, &mut pixels[..tile.pixels()], &mut ());
-        let (counts, allocated) = allocations(draw);
-        assert_eq!((allocated, counts.damaged), (0, 0));
+    for kernel in Kernel::available() {
+        for tile in tiles.ids().filter_map(|id| tiles.get(id)) {
+            let draw = || render_tile(&view, &frame, tile, kernel, &mut pixels[..tile.pixels()], &mut ());
+            let (counts, allocated) = allocations(draw);
+            assert_eq!((allocated, counts.damaged), (0, 0));
+        }
     }
     let (ids, allocated) = allocations(|| (view.original_id(Primitive(0)), view.geometry_id(Primitive(0))));
     assert!(ids.0.is_some() && ids.1.is_some() && allocated == 0);

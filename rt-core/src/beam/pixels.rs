@@ -355,7 +355,7 @@ impl<S: Simd> Targets<S> for Pixels<'_> {
         }
     }
 
-    fn test_by_rays(&mut self, cluster: &Cluster<'_>) {
+    fn test_by_rays(&mut self, _: S, cluster: &Cluster<'_>) {
         for block in 0..LANES {
             for lane in 0..LANES {
                 if self.present[block] >> lane & 1 == 0 {

@@ -24,7 +24,7 @@ pub(super) trait Targets<S: Simd> {
     fn test(&mut self, s: S, triangles: &Triangles<'_, S>);
 
     /// Tests a cluster that cannot be projected.
-    fn test_by_rays(&mut self, cluster: &Cluster<'_>);
+    fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>);
 }
 
 /// Up to sixteen triangles of a cluster, projected.
@@ -41,6 +41,14 @@ pub(super) struct Triangles<'a, S: Simd> {
     pub(super) cluster: &'a Cluster<'a>,
     /// Place of the first triangle in the cluster.
     pub(super) first: usize,
+}
+
+impl<S: Simd> Triangles<'_, S> {
+    /// The corners of the triangle in a lane, in grid units.
+    #[inline(always)]
+    pub(super) fn corners_of(&self, lane: usize) -> [Vec3; 3] {
+        self.cluster.triangle(self.first + lane)
+    }
 }
 
 /// The box of a cluster on the projection plane, with some margin, and its greatest inverse depth.
@@ -224,7 +232,7 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
         self.count.cluster();
         let Some(vertices) = self.s.apart(Project { projection: self.beam.projection, cluster: &cluster })
         else {
-            self.targets.test_by_rays(&cluster);
+            self.targets.test_by_rays(self.s, &cluster);
             return Ok(());
         };
         let interest = self.targets.interest(self.s, &vertices.bounds);

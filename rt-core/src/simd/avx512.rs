@@ -146,11 +146,6 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    fn splat_int(self, value: i32) -> Self::I {
-        with!(_mm512_set1_epi32(value))
-    }
-
-    #[inline(always)]
     fn to_int(self, value: Self::F) -> Self::I {
         with!(_mm512_cvttps_epi32(value))
     }
@@ -168,31 +163,6 @@ impl Simd for Avx512 {
     #[inline(always)]
     fn sub_int(self, a: Self::I, b: Self::I) -> Self::I {
         with!(_mm512_sub_epi32(a, b))
-    }
-
-    #[inline(always)]
-    fn or(self, a: Self::I, b: Self::I) -> Self::I {
-        with!(_mm512_or_si512(a, b))
-    }
-
-    #[inline(always)]
-    fn bits(self, a: Self::F) -> Self::I {
-        with!(_mm512_castps_si512(a))
-    }
-
-    #[inline(always)]
-    fn shift_left(self, a: Self::I, by: Self::I) -> Self::I {
-        with!(_mm512_sllv_epi32(a, by))
-    }
-
-    #[inline(always)]
-    fn shift_right(self, a: Self::I, by: Self::I) -> Self::I {
-        with!(_mm512_srlv_epi32(a, by))
-    }
-
-    #[inline(always)]
-    fn meet(self, a: Self::I, b: Self::I) -> Mask {
-        with!(_mm512_test_epi32_mask(a, b))
     }
 
     #[inline(always)]

@@ -127,21 +127,11 @@ pub(crate) trait Simd: Copy {
 
     /// Up to sixteen bytes as integers; lanes beyond are 0.
     fn bytes(self, from: &[u8]) -> Self::I;
-    fn splat_int(self, value: i32) -> Self::I;
     /// Cuts off the fraction. The values lie within ±2^30.
     fn to_int(self, value: Self::F) -> Self::I;
     fn to_float(self, value: Self::I) -> Self::F;
     fn store_int(self, value: Self::I, to: &mut [i32; LANES]);
     fn sub_int(self, a: Self::I, b: Self::I) -> Self::I;
-    fn or(self, a: Self::I, b: Self::I) -> Self::I;
-    /// The bits of sixteen `f32`.
-    fn bits(self, a: Self::F) -> Self::I;
-    /// Shifts by 0 to 31.
-    fn shift_left(self, a: Self::I, by: Self::I) -> Self::I;
-    /// Shifts zeros in from above, by 0 to 31.
-    fn shift_right(self, a: Self::I, by: Self::I) -> Self::I;
-    /// Whether the lanes have a bit in common.
-    fn meet(self, a: Self::I, b: Self::I) -> Mask;
 
     fn widen(self, a: Self::F) -> Self::D;
     /// Rounds to single precision.
