@@ -54,6 +54,9 @@ pub(super) struct Seen {
     pub(super) blocks: Mask,
     /// Depth at which it begins.
     pub(super) nearest: f32,
+    /// Its middle, from the eye, and half its edges, with some margin.
+    pub(super) centre: Vec3,
+    pub(super) half: Vec3,
 }
 
 impl Depths {
@@ -194,7 +197,7 @@ impl Frustum {
         let rows = inside >> 8 & inside >> 12 & 0xf;
         let rows = rows & 1 | (rows & 2) << 3 | (rows & 4) << 6 | (rows & 8) << 9;
         let nearest = self.depth.dot(centre) - self.depth.abs().dot(half);
-        Seen { blocks: (rows * columns) as Mask, nearest }
+        Seen { blocks: (rows * columns) as Mask, nearest, centre, half }
     }
 }
 

@@ -305,11 +305,33 @@ impl<S: Simd> Targets<S> for Pixels<'_> {
         if bounds.right < 0.0 || bounds.bottom < 0.0 || bounds.left > end[0] || bounds.top > end[1] {
             return 0;
         }
-        let line = |place: f32, end: f32| place.max(0.0).min(end) as i32;
-        let columns = in_range(line(bounds.left, 15.0) / 4, line(bounds.right, 15.0) / 4, 0);
-        let rows = in_range(line(bounds.top, 15.0) / 4, line(bounds.bottom, 15.0) / 4, 0);
+        let line = |place: f32| place.max(0.0).min(15.0) as i32 / 4;
+        let columns = in_range(line(bounds.left), line(bounds.right), 0);
+        let rows = in_range(line(bounds.top), line(bounds.bottom), 0);
         let waiting = s.le(s.load(&self.depths(s).blocks), s.splat(bounds.near));
         u64::from(spread(rows) & (columns * 0x1111) & waiting)
+    }
+
+    /// Whether there is a pixel within the bounds that shows nothing nearer.
+    #[inline(always)]
+    fn wants(&mut self, s: S, bounds: &Bounds) -> bool {
+        // Nearly the next whole number: a pixel too many does not matter, one too few would.
+        let first = |place: f32| (place.max(0.0) + 0.999_99).min(16.0) as i32;
+        let last = |place: f32, length: u32| (place.min(length as f32 - 1.0) + 1.0).max(0.0) as i32 - 1;
+        let (left, right) = (first(bounds.left), last(bounds.right, self.tile.width));
+        let (top, bottom) = (first(bounds.top), last(bounds.bottom, self.tile.height));
+        for row in top / 4..=bottom >> 2 {
+            for column in left / 4..=right >> 2 {
+                let block = (row * 4 + column) as usize % LANES;
+                let lanes =
+                    (in_range(left, right, column * 4) * 0x1111) & spread(in_range(top, bottom, row * 4));
+                let waiting = s.le(s.load(&self.low[block]), s.splat(bounds.near)) & self.present[block];
+                if lanes & waiting != 0 {
+                    return true;
+                }
+            }
+        }
+        false
     }
 
     #[inline(always)]

@@ -2,8 +2,10 @@
 
 use glam::{DVec3, Vec3};
 
+use super::frustum::Seen;
+use super::walk::Bounds;
 use crate::camera::Camera;
-use crate::simd::{Simd, each};
+use crate::simd::{LANES, Mask, Simd, each};
 use crate::tile::Tile;
 
 /// Projects points of the grid onto a plane, in *units*: pixels of a tile, or bins of its shadow samples.
@@ -98,16 +100,57 @@ impl Projection {
         Some(Self { eye, rows, delta: delta(NEAR), delta_wide: delta(wide), wide, depth_epsilon })
     }
 
+    /// The bounds of a box; `None` when it reaches behind the eye or too far out.
+    #[inline(always)]
+    pub(super) fn bounds<S: Simd>(&self, s: S, seen: &Seen) -> Option<Bounds> {
+        let signs = [CORNERS[0], CORNERS[1], CORNERS[2]];
+        let v = each!(3: [0, 1, 2], axis => {
+            s.add(s.splat(seen.centre[axis]), s.mul(s.load(&signs[axis]), s.splat(seen.half[axis])))
+        });
+        let Projected { x, y, w } = self.project_from_eye(s, v);
+        let out = s.max(s.abs(x), s.abs(y));
+        if s.lt(s.splat(0.0), w) & s.le(out, s.splat(self.wide)) != Mask::MAX {
+            return None;
+        }
+        let zero = s.splat(0.0);
+        let [right, bottom, near] = each!(3: [x, y, w], value => -s.least(s.sub(zero, value)));
+        let margin = self.delta_wide;
+        Some(Bounds {
+            left: s.least(x) - margin,
+            right: right + margin,
+            top: s.least(y) - margin,
+            bottom: bottom + margin,
+            near: near * (1.0 + 4.0 * self.depth_epsilon),
+        })
+    }
+
     /// Projects sixteen points.
     #[inline(always)]
     pub(super) fn project<S: Simd>(&self, s: S, point: [S::F; 3]) -> Projected<S::F> {
         let eye = s.splat3(self.eye);
-        let v = [s.sub(point[0], eye[0]), s.sub(point[1], eye[1]), s.sub(point[2], eye[2])];
+        self.project_from_eye(s, [s.sub(point[0], eye[0]), s.sub(point[1], eye[1]), s.sub(point[2], eye[2])])
+    }
+
+    #[inline(always)]
+    fn project_from_eye<S: Simd>(&self, s: S, v: [S::F; 3]) -> Projected<S::F> {
         let [x, y, z] = each!(3: self.rows, row => s.dot(v, s.splat3(row)));
         let w = s.div(s.splat(1.0), z);
         Projected { x: s.mul(x, w), y: s.mul(y, w), w }
     }
 }
+
+/// The corners of a cube around 0, twice, by axis.
+const CORNERS: [[f32; LANES]; 3] = {
+    let mut corners = [[1.0; LANES]; 3];
+    let mut at = 0;
+    while at < 3 * LANES {
+        if at / 3 >> (at % 3) & 1 != 0 {
+            corners[at % 3][at / 3] = -1.0;
+        }
+        at += 1;
+    }
+    corners
+};
 
 /// Coordinates within this are as exact as they get.
 pub(super) const NEAR: f32 = 64.0;

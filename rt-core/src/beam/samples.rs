@@ -396,6 +396,20 @@ impl<S: Simd> Targets<S> for Samples<'_> {
         u64::from(groups)
     }
 
+    /// Whether there is an open sample within the bounds.
+    #[inline(always)]
+    fn wants(&mut self, s: S, bounds: &Bounds) -> bool {
+        let mut groups = self.interest(s, bounds);
+        while groups != 0 {
+            let group = groups.trailing_zeros() as usize % GROUPS;
+            groups &= groups - 1;
+            if self.open_within(s, group, bounds) != 0 {
+                return true;
+            }
+        }
+        false
+    }
+
     #[inline(always)]
     fn test(&mut self, s: S, triangles: &Triangles<'_, S>) {
         s.apart(Test { samples: self, triangles });

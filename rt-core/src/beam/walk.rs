@@ -20,6 +20,9 @@ pub(super) trait Targets<S: Simd> {
     /// Which parts of the targets triangles within these bounds may matter to; 0 when none.
     fn interest(&mut self, s: S, bounds: &Bounds) -> u64;
 
+    /// Whether anything within these bounds may matter, looked at closely.
+    fn wants(&mut self, s: S, bounds: &Bounds) -> bool;
+
     /// Tests sixteen triangles.
     fn test(&mut self, s: S, triangles: &Triangles<'_, S>);
 
@@ -219,9 +222,12 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
     fn visit_waiting(&mut self, Waiting { place, seen }: &Waiting) -> Result<(), Damaged> {
         let depths = self.targets.depths(self.s);
         if seen.blocks & depths.waiting(self.s, seen.nearest) == 0 {
-            Ok(())
-        } else {
-            self.visit_cluster(place)
+            return Ok(());
+        }
+        // The last look before its page is touched: whether the box reaches over any pixel to which it matters.
+        match self.beam.projection.bounds(self.s, seen) {
+            Some(bounds) if !self.targets.wants(self.s, &bounds) => Ok(()),
+            _ => self.visit_cluster(place),
         }
     }
 
@@ -334,7 +340,8 @@ impl Queue {
 
     const fn new() -> Self {
         let place = ClusterRef { offset: 0, vertices: 0, triangles: 0, first: 0 };
-        let none = Waiting { place, seen: Seen { blocks: 0, nearest: 0.0 } };
+        let seen = Seen { blocks: 0, nearest: 0.0, centre: Vec3::ZERO, half: Vec3::ZERO };
+        let none = Waiting { place, seen };
         Self { waiting: [none; Self::LENGTH], first: 0, count: 0 }
     }
 
