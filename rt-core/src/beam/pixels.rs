@@ -305,7 +305,7 @@ impl<S: Simd> Targets<S> for Pixels<'_> {
         if bounds.right < 0.0 || bounds.bottom < 0.0 || bounds.left > end[0] || bounds.top > end[1] {
             return 0;
         }
-        let line = |place: f32| place.max(0.0).min(15.0) as i32 / 4;
+        let line = |place: f32| place.clamp(0.0, 15.0) as i32 / 4;
         let columns = in_range(line(bounds.left), line(bounds.right), 0);
         let rows = in_range(line(bounds.top), line(bounds.bottom), 0);
         let waiting = s.le(s.load(&self.depths(s).blocks), s.splat(bounds.near));

@@ -144,7 +144,7 @@ const CORNERS: [[f32; LANES]; 3] = {
     let mut corners = [[1.0; LANES]; 3];
     let mut at = 0;
     while at < 3 * LANES {
-        if at / 3 >> (at % 3) & 1 != 0 {
+        if (at / 3) >> (at % 3) & 1 != 0 {
             corners[at % 3][at / 3] = -1.0;
         }
         at += 1;
