@@ -7,16 +7,18 @@ use glam::{Vec3, Vec4};
 use crate::cluster::Nearest;
 use crate::grid::{BoxFrame, FLIP_AXIS, GridShape};
 use crate::image::Header;
+use crate::kinds::Kinds;
 use crate::ray::{Hit, Ray};
 use crate::scale::{Scale, exponent_of, power_of_two};
 use crate::shade;
+use crate::sphere::SphereRay;
+use crate::surface::Surface;
 use crate::triangle_woop::{Crossing, WoopRay};
 
 /// A ray brought into grid space: coordinates by the image's scale, the direction normalised by a power of
 /// two. Both are exact.
 #[derive(Clone, Copy, Debug)]
 pub struct GridRay {
-    woop: WoopRay,
     origin: Vec3,
     direction: Vec3,
     /// One over the direction, tiny components replaced.
@@ -62,10 +64,9 @@ impl GridRay {
         let tiny = power_of_two(-60);
         let inverse =
             Vec3::from(direction.to_array().map(|d| 1.0 / if d.abs() < tiny { tiny.copysign(d) } else { d }));
-        let allowance = reach * power_of_two(-18) + reach.max_element() * power_of_two(-58);
+        let allowance = reach * power_of_two(-18) + reach.max_element() * power_of_two(-46);
         let negative = |axis: usize| if inverse[axis] < 0.0 { FLIP_AXIS[axis] } else { 0 };
         Some(Self {
-            woop: WoopRay::new(origin, direction),
             origin,
             direction,
             inverse,
@@ -78,8 +79,15 @@ impl GridRay {
     }
 
     /// The ray as the triangle test wants it.
-    pub const fn woop(&self) -> &WoopRay {
-        &self.woop
+    #[inline]
+    pub fn woop(&self) -> WoopRay {
+        WoopRay::new(self.origin, self.direction)
+    }
+
+    /// The ray as the sphere test wants it.
+    #[inline]
+    pub const fn sphere_ray(&self) -> SphereRay {
+        SphereRay::new(self.origin, self.direction)
     }
 
     /// Largest `t` of interest, in grid units.
@@ -92,12 +100,16 @@ impl GridRay {
         self.flip
     }
 
-    /// The hit in the caller's units.
+    /// The hit in the caller's units. A hit of other kinds than `K` is none.
     #[inline]
-    pub fn hit(&self, nearest: &Nearest) -> Option<Hit> {
-        let (primitive, corners) = nearest.triangle?;
+    pub fn hit<K: Kinds>(&self, nearest: &Nearest) -> Option<Hit> {
+        let (primitive, surface) = nearest.surface?;
         let Crossing { t, u, v } = nearest.crossing;
-        let normal = shade::normal(corners, self.direction);
+        let normal = match &surface {
+            Surface::Triangle(corners) if K::TRIANGLES => shade::normal(*corners, self.direction),
+            Surface::Sphere(sphere) if K::SPHERES => self.sphere_ray().normal(sphere),
+            _ => return None,
+        };
         Some(Hit { t: self.caller_from_grid.apply(t), u, v, primitive, normal })
     }
 

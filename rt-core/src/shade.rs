@@ -69,7 +69,7 @@ pub fn byte(grey: f32) -> u8 {
     byte
 }
 
-fn difference(to: Vec3, from: Vec3) -> [f64; 3] {
+pub(crate) fn difference(to: Vec3, from: Vec3) -> [f64; 3] {
     [0, 1, 2].map(|axis| f64::from(to[axis]) - f64::from(from[axis]))
 }
 
@@ -77,7 +77,7 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-fn unit(vector: [f64; 3]) -> Vec3 {
+pub(crate) fn unit(vector: [f64; 3]) -> Vec3 {
     // The largest component is brought to 1 first, so that no square underflows.
     let largest = vector.iter().fold(0.0, |largest: f64, component| largest.max(component.abs()));
     let [x, y, z] = vector.map(|component| component / largest);

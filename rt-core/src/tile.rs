@@ -6,6 +6,7 @@ use crate::count::{Count, TileCounts};
 use crate::frame::Frame;
 use crate::grid::GridShape;
 use crate::grid_ray::GridRay;
+use crate::kinds::{ForKinds, Kinds, dispatch};
 use crate::memory::SceneMemory;
 use crate::scale::Scale;
 use crate::shade::{self, LitPoint};
@@ -100,18 +101,36 @@ pub fn render_tile<M: SceneMemory, C: Count>(
     work: &mut C,
 ) -> TileCounts {
     assert_eq!(pixels.len(), tile.pixels(), "the pixels lent do not fit the tile");
-    let mut painter = Painter::new(scene, frame, work);
-    for (y, row) in (tile.y..).zip(pixels.chunks_exact_mut(tile.width as usize)) {
-        let row_direction = frame.camera.row(y);
-        for (x, pixel) in (tile.x..).zip(row) {
-            let grey = painter.grey(frame.camera.direction(row_direction, x)).unwrap_or_else(|_| {
-                painter.counts.damaged += 1;
-                shade::BACKGROUND
-            });
-            *pixel = shade::byte(grey);
+    dispatch(scene.header().needs, DrawTile { scene, frame, tile, pixels, work })
+}
+
+/// What [`render_tile`] was called with.
+struct DrawTile<'a, M, C> {
+    scene: &'a SceneView<M>,
+    frame: &'a Frame,
+    tile: Tile,
+    pixels: &'a mut [u8],
+    work: &'a mut C,
+}
+
+impl<M: SceneMemory, C: Count> ForKinds for DrawTile<'_, M, C> {
+    type Output = TileCounts;
+
+    fn run<K: Kinds>(self) -> TileCounts {
+        let Self { scene, frame, tile, pixels, work } = self;
+        let mut painter = Painter::new(scene, frame, work);
+        for (y, row) in (tile.y..).zip(pixels.chunks_exact_mut(tile.width as usize)) {
+            let row_direction = frame.camera.row(y);
+            for (x, pixel) in (tile.x..).zip(row) {
+                let grey = painter.grey::<K>(frame.camera.direction(row_direction, x)).unwrap_or_else(|_| {
+                    painter.counts.damaged += 1;
+                    shade::BACKGROUND
+                });
+                *pixel = shade::byte(grey);
+            }
         }
+        painter.counts
     }
-    painter.counts
 }
 
 /// The frame in grid units, and what was counted so far.
@@ -141,28 +160,28 @@ impl<'a, M: SceneMemory, C: Count> Painter<'a, M, C> {
 
     /// Grey of the pixel whose ray goes along `direction`.
     #[inline]
-    fn grey(&mut self, direction: Vec3) -> Result<f32, Damaged> {
+    fn grey<K: Kinds>(&mut self, direction: Vec3) -> Result<f32, Damaged> {
         self.counts.primary += 1;
         // In grid units throughout: `t` here is in grid lengths of the direction.
         let Some(ray) = GridRay::new(self.eye, direction, f32::INFINITY, Scale::ONE, self.grid) else {
             return Ok(shade::BACKGROUND);
         };
-        let nearest = walk::<M, C, false>(self.scene, &ray, self.work)?;
-        let Some(hit) = ray.hit(&nearest) else { return Ok(shade::BACKGROUND) };
+        let nearest = walk::<M, C, K, false>(self.scene, &ray, self.work)?;
+        let Some(hit) = ray.hit::<K>(&nearest) else { return Ok(shade::BACKGROUND) };
         self.counts.hits += 1;
         self.counts.t_sum += f64::from(self.scene.header().scale().inverse().apply(hit.t));
         let at = self.eye + direction * hit.t;
         match LitPoint::new(at, hit.normal, direction, self.light, self.shadow_offset) {
-            Some(point) if self.reaches_light(&point)? => Ok(point.lit_grey()),
+            Some(point) if self.reaches_light::<K>(&point)? => Ok(point.lit_grey()),
             _ => Ok(shade::SHADOW),
         }
     }
 
     #[inline]
-    fn reaches_light(&mut self, point: &LitPoint) -> Result<bool, Damaged> {
+    fn reaches_light<K: Kinds>(&mut self, point: &LitPoint) -> Result<bool, Damaged> {
         self.counts.shadow += 1;
         let blocked = match GridRay::new(point.point, point.to_light, 1.0, Scale::ONE, self.grid) {
-            Some(ray) => walk::<M, C, true>(self.scene, &ray, self.work)?.triangle.is_some(),
+            Some(ray) => walk::<M, C, K, true>(self.scene, &ray, self.work)?.surface.is_some(),
             None => false,
         };
         self.counts.lit += u64::from(!blocked);

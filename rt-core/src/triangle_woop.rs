@@ -52,6 +52,9 @@ pub struct Crossing {
 }
 
 impl WoopRay {
+    /// Stands for a ray where no triangle is tested.
+    pub const NONE: Self = Self { axes: [0, 1, 2], origin: [0.0; 3], shear: [0.0; 3] };
+
     /// Prepares a ray. Origin and direction are finite and the direction is not zero.
     #[inline]
     pub fn new(origin: Vec3, direction: Vec3) -> Self {

@@ -1,62 +1,61 @@
-//! Sorts triangles along the Morton curve, and finds out down to which level a cell can hold them.
+//! Sorts primitives along the Morton curve, and finds out down to which level a cell can hold them.
 
-use glam::Vec3;
 use rayon::prelude::*;
 use rt_core::grid::GridShape;
+use rt_core::surface::Surface;
 
-use super::prepare::{corners, is_collapsed};
-use crate::mesh::Mesh;
+use super::prepare::ids;
+use super::surfaces::{bits, extent, is_collapsed};
+use crate::model::Model;
 
-/// A triangle on its place along the Morton curve.
+/// A primitive on its place along the Morton curve.
 ///
 /// # Invariants
-/// Sorted by `key`, then `id`, so that equal triangles keep the order they have in the mesh.
+/// Sorted by `key`, then `id`, so that equal triangles keep the order they have in the mesh, and spheres come after
+/// triangles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Entry {
-    /// Six bits per level, coarsest first: the index of the cell that holds the triangle's middle. Then
-    /// [`DEPTH_BITS`] bits: the deepest level on which the padded cell holds the whole triangle; 0 is the
+    /// Six bits per level, coarsest first: the index of the cell that holds the primitive's middle. Then
+    /// [`DEPTH_BITS`] bits: the deepest level on which the padded cell holds all of it; 0 is the
     /// root.
     key: u64,
-    /// Number of the triangle in the mesh.
+    /// Number in the model.
     pub(super) id: u32,
 }
 
 impl Entry {
-    /// Index of the triangle's cell on `level` (1 below the root), of `levels`.
+    /// Index of the primitive's cell on `level` (1 below the root), of `levels`.
     #[inline]
     pub(super) const fn cell(&self, level: u32, levels: u32) -> u32 {
         (self.key >> (DEPTH_BITS + 6 * (levels - level)) & 63) as u32
     }
 
-    /// The deepest level on which the triangle is resident.
+    /// The deepest level on which the primitive is resident.
     #[inline]
     pub(super) const fn depth(&self) -> u32 {
         (self.key & ((1 << DEPTH_BITS) - 1)) as u32
     }
 }
 
-/// All triangles of the mesh that are not collapsed, sorted.
-pub(super) fn sorted(mesh: &Mesh, grid: &GridShape) -> Vec<Entry> {
+/// All primitives of the model that are not collapsed, sorted.
+pub(super) fn sorted(model: &Model, grid: &GridShape) -> Vec<Entry> {
     let curve = Curve::new(grid);
-    let numbered = mesh.triangles.par_iter().zip(0_u32..u32::MAX);
-    let kept = numbered.filter(|(triangle, _)| !is_collapsed(mesh, **triangle));
-    let mut entries: Vec<Entry> =
-        kept.map(|(&triangle, id)| curve.entry(corners(mesh, triangle), id)).collect();
+    let numbered = ids(model).map(|id| (model.surface(id), id));
+    let kept = numbered.filter(|(surface, _)| !is_collapsed(surface));
+    let mut entries: Vec<Entry> = kept.map(|(surface, id)| curve.entry(&surface, id)).collect();
     entries.par_sort_unstable();
     entries
 }
 
-/// Drops every triangle that has the same corners, in the same order, as an earlier one of the mesh; returns
-/// how many.
+/// Drops every triangle that has the same corners, in the same order, as an earlier one of the mesh, and every
+/// sphere that equals an earlier one; returns how many.
 ///
 /// A ray would hit both at the same `t`, and the earlier one wins ties, so the later one could never be seen.
-pub(super) fn drop_repeated(mesh: &Mesh, entries: &mut Vec<Entry>) -> u64 {
-    let corners_of = |entry: &Entry| {
-        mesh.triangles[entry.id as usize].map(|v| mesh.positions[v as usize].map(f32::to_bits))
-    };
+pub(super) fn drop_repeated(model: &Model, entries: &mut Vec<Entry>) -> u64 {
     let mut repeated = Vec::new();
     for group in entries.chunk_by(|a, b| a.key == b.key).filter(|group| group.len() > 1) {
-        let mut sorted: Vec<_> = group.iter().map(|entry| (corners_of(entry), entry.id)).collect();
+        let mut sorted: Vec<_> =
+            group.iter().map(|entry| (bits(&model.surface(entry.id)), entry.id)).collect();
         sorted.sort_unstable();
         repeated.extend(sorted.windows(2).filter(|pair| pair[0].0 == pair[1].0).map(|pair| pair[1].1));
     }
@@ -86,13 +85,12 @@ impl Curve {
         }
     }
 
-    fn entry(&self, [a, b, c]: [Vec3; 3], id: u32) -> Entry {
-        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+    fn entry(&self, surface: &Surface, id: u32) -> Entry {
+        let (low, high) = extent(surface);
         let mut code = 0;
         let mut depth = self.levels;
         for axis in 0..3 {
-            let (low, high) =
-                (f64::from(low[axis]) - self.origin[axis], f64::from(high[axis]) - self.origin[axis]);
+            let (low, high) = (low[axis] - self.origin[axis], high[axis] - self.origin[axis]);
             let cell = self.finest_cell((low + high) * 0.5);
             code |= spread(cell) << axis;
             while depth > 0 && !self.holds(cell, depth, low, high) {
