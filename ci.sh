@@ -24,6 +24,10 @@ fmt() {
 lint() {
     cargo clippy --workspace --all-targets --locked -- -D warnings
     cargo clippy --manifest-path fuzz/Cargo.toml --locked -- -D warnings
+    local kind
+    for kind in triangles spheres; do
+        cargo clippy -p rt-core --lib --no-default-features --features "$kind" --locked -- -D warnings
+    done
 }
 
 # The test command of the README.
