@@ -26,7 +26,7 @@ lint() {
     cargo clippy --manifest-path fuzz/Cargo.toml --locked -- -D warnings
     local kind
     for kind in triangles spheres; do
-        cargo clippy -p rt-core --lib --no-default-features --features "$kind" --locked -- -D warnings
+        cargo clippy -p rt-core --lib --no-default-features --features "$kind,lanes-avx2,lanes-avx512" --locked -- -D warnings
     done
 }
 

@@ -8,9 +8,11 @@
 //! | [`command_line`] | names and flags |
 //! | [`table1`] | hits and misses, as in the paper's Table 1 |
 //! | [`scaling`] | frame rate over nodes and memory |
+//! | [`embree`] | our kernels against Embree 3 and 4 |
 //! | [`findings`], [`table`], [`plot`], [`spread`] | what an experiment gives back, and how it is shown |
 //! | [`quiet`] | telling quiet rounds from those in which other programs wanted the machine |
 //! | [`distance`] | how far apart the cores are at the moment |
+//! | [`data`] | the folder with real meshes |
 //! | [`machine`] | what stands beside every figure: processor, kernel, commit |
 //! | [`space`], [`owner`], [`memory`] | a shared space to read, the process that owns it, memory to compare with |
 //!
@@ -18,7 +20,9 @@
 //! with: absolute times of a shared machine mean little, ratios of neighbouring moments mean much.
 
 mod command_line;
+mod data;
 mod distance;
+mod embree;
 mod experiment;
 mod findings;
 mod machine;

@@ -85,8 +85,17 @@ impl Chart {
                 .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], colour.stroke_width(2)));
         }
         let mut legend = chart.configure_series_labels();
-        legend.position(SeriesLabelPosition::LowerRight).border_style(BLACK).background_style(WHITE);
+        legend.position(self.legend_corner()).border_style(BLACK).background_style(WHITE);
         Ok(legend.draw()?)
+    }
+
+    /// On the left where that is empty, else where lines that rise leave most room.
+    fn legend_corner(&self) -> SeriesLabelPosition {
+        let range = self.range(self.x, |point| point.0);
+        let middle = f64::midpoint(range.start, range.end);
+        let mut points = self.lines.iter().flat_map(|line| &line.points);
+        let is_left_empty = points.all(|point| self.x.place(point.0) >= 0.9 * middle);
+        if is_left_empty { SeriesLabelPosition::UpperLeft } else { SeriesLabelPosition::LowerRight }
     }
 
     /// The part of an axis that all points lie on; a linear one begins at 0.

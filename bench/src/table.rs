@@ -47,6 +47,11 @@ impl Table {
         self.notes.push(note.into());
     }
 
+    /// Whether there are no rows.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
     /// The rows, each an object whose keys are made of the heads.
     pub(crate) fn to_json(&self) -> Vec<Map<String, Value>> {
         let row = |cells: &Vec<Cell>| {

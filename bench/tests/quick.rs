@@ -26,10 +26,9 @@ fn names() -> Vec<String> {
 #[test]
 fn every_experiment_runs_and_writes_what_it_found() {
     let names = names();
-    assert!(
-        names.iter().any(|name| name == "table1") && names.iter().any(|name| name == "scaling"),
-        "{names:?}"
-    );
+    for expected in ["table1", "scaling", "embree"] {
+        assert!(names.iter().any(|name| name == expected), "{names:?}");
+    }
     for name in names {
         let out = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("quick-{name}"));
         let _ = fs::remove_dir_all(&out);
@@ -69,6 +68,25 @@ fn check(record: &Value, name: &str) {
         let is_whole = aim["what"].is_string() && aim["aim"].is_string() && aim["holds"].is_boolean();
         assert!(is_whole && aim["value"].as_f64().is_some_and(f64::is_finite), "{aim}");
     }
+}
+
+#[test]
+fn without_a_compiler_ours_is_measured_alone_and_the_rest_is_said() {
+    let out = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("quick-embree-alone");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_bench"));
+    command.args(["embree", "--quick", "--out", out.to_str().unwrap()]);
+    let run = command.env("PATH", "").env_remove("EMBREE4_LIB").output().unwrap();
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    let printed = text(&run.stdout);
+    for line in ["Embree 3 is not here", "apt-get install", "Embree 4 is not here", "pip install"] {
+        assert!(printed.contains(line), "{line}: {printed}");
+    }
+    let record: Value = serde_json::from_slice(&fs::read(out.join("embree.json")).unwrap()).unwrap();
+    let programs = record["rows"].as_array().unwrap().iter().filter_map(|row| row["program"].as_str());
+    assert!(
+        programs.clone().count() > 0 && programs.clone().all(|name| name.starts_with("ours")),
+        "{record}"
+    );
 }
 
 #[test]

@@ -12,6 +12,7 @@ use clap::builder::styling::{AnsiColor, Styles};
 use clap::{Args, Parser, Subcommand};
 use dsm_core::replacement::PolicyKind;
 use fault_linux::BackendKind;
+use rt_core::Kernel;
 use rt_core::image::{PAGE_BYTES_MAX, PAGE_BYTES_MIN};
 use scene::builtin::BuiltIn;
 use scene::{BuildOptions, Info, SceneFile};
@@ -115,6 +116,9 @@ struct Cluster {
     /// Which page leaves for another: random, fifo or clock
     #[arg(long, value_name = "NAME", default_value_t = PolicyKind::Random)]
     policy: PolicyKind,
+    /// How tiles are drawn: auto, avx512, avx2, portable (beams with these instructions), or rays; all draw the same
+    #[arg(long, value_name = "NAME", default_value = "auto", value_parser = kernel)]
+    kernel: ChosenKernel,
     /// How pages travel between the processes
     #[arg(long, value_name = "NAME", value_enum, default_value_t = TransportKind::Shm)]
     transport: TransportKind,
@@ -187,6 +191,10 @@ struct ShowInfo {
 #[derive(Clone, Copy, Debug)]
 struct Backend(Option<BackendKind>);
 
+/// A kernel by name, or the fastest that the processor has.
+#[derive(Clone, Copy, Debug)]
+struct ChosenKernel(Option<Kernel>);
+
 const STYLES: Styles = Styles::styled()
     .header(AnsiColor::Green.on_default().bold())
     .usage(AnsiColor::Green.on_default().bold())
@@ -241,6 +249,7 @@ impl Render {
             page_bytes: cluster.page,
             backend: cluster.backend.0,
             policy: cluster.policy,
+            kernel: cluster.kernel.0,
             transport: cluster.transport,
             size: view.size,
             frames: view.frames,
@@ -362,6 +371,10 @@ fn page_bytes(text: &str) -> Result<u32> {
 
 fn backend(name: &str) -> Result<Backend> {
     Ok(Backend(if name == "auto" { None } else { Some(name.parse()?) }))
+}
+
+fn kernel(name: &str) -> Result<ChosenKernel> {
+    Ok(ChosenKernel(if name == "auto" { None } else { Some(name.parse()?) }))
 }
 
 fn seconds(text: &str) -> Result<Duration> {

@@ -57,6 +57,7 @@ pub(crate) struct SetUp {
     pub(crate) binds_to_cores: bool,
     pub(crate) backend: String,
     pub(crate) policy: String,
+    pub(crate) kernel: String,
     pub(crate) transport: TransportKind,
     pub(crate) spin_us: u64,
     pub(crate) deadline_us: u64,

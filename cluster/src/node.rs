@@ -19,7 +19,7 @@ use dsm_core::replacement::PolicyKind;
 use dsm_core::stats::{Histogram, HomeStats};
 use fault_linux::{BackendKind, Region, Setup, ThreadStats};
 use rt_core::schedule::Static;
-use rt_core::{Frame, Tiles};
+use rt_core::{Frame, Kernel, Tiles};
 use rustix::process::{Signal, set_parent_process_death_signal};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use transport_shm::{HeldPages, Server, now};
@@ -162,6 +162,7 @@ impl Process {
             return Ok(Crew { region: None, painters: Vec::new(), server, stop, _held: held });
         }
         let region = self.region()?;
+        let kernel = self.kernel()?;
         let painters = (0..self.set_up.threads).map(|thread| {
             let (sender, jobs) = channel();
             let painter = Painter {
@@ -170,6 +171,7 @@ impl Process {
                 link: self.link.clone(),
                 jobs,
                 image_bytes: self.set_up.image_bytes,
+                kernel,
             };
             let link = self.link.clone();
             let name = format!("render {thread}");
@@ -232,6 +234,13 @@ impl Process {
         Ok(unsafe { Region::new(setup) }?)
     }
 
+    fn kernel(&self) -> Result<Kernel> {
+        match self.set_up.kernel.as_str() {
+            "auto" => Ok(Kernel::fastest()),
+            name => name.parse().with_context(|| format!("kernel {name}")),
+        }
+    }
+
     fn job(&self, frame: Frame) -> Arc<Job> {
         let tiles = Tiles::of(frame.width, frame.height);
         let schedule = Static::new(tiles, self.set_up.nodes.into());
@@ -260,6 +269,7 @@ impl Process {
             backend: choice.map(|choice| choice.used.to_string()).unwrap_or_default(),
             backends_declined: choice
                 .map_or(Vec::new(), |choice| choice.declined.iter().map(ToString::to_string).collect()),
+            kernel: if self.renders() { self.kernel()?.to_string() } else { String::new() },
             policy: if slots > 0 { self.set_up.policy.clone() } else { String::new() },
             faults: stats.faults,
             merged_faults: stats.merged_faults,

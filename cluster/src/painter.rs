@@ -6,7 +6,7 @@ use std::sync::mpsc::Receiver;
 
 use anyhow::{Context, Result};
 use fault_linux::{Attached, BackendKind, Record, Region, ThreadStats};
-use rt_core::{Flat, Frame, SceneMemory, SceneView, TILE_SIZE, TileId, Tiles, render_tile};
+use rt_core::{Flat, Frame, Kernel, SceneMemory, SceneView, TILE_SIZE, TileId, Tiles, render_tile};
 
 use crate::control::{Drawn, News, TileBatch};
 use crate::link::Link;
@@ -29,6 +29,7 @@ pub(crate) struct Painter {
     pub(crate) link: Arc<Link>,
     pub(crate) jobs: Receiver<Arc<Job>>,
     pub(crate) image_bytes: u64,
+    pub(crate) kernel: Kernel,
 }
 
 /// A scene of which every access goes through a table: the `soft` backend.
@@ -51,9 +52,9 @@ impl Job {
 impl Painter {
     /// Draws job after job until there are no more, or a page cannot be had.
     pub(crate) fn run(self) -> Result<ThreadStats> {
-        let Self { region, port, link, jobs, image_bytes } = self;
+        let Self { region, port, link, jobs, image_bytes, kernel } = self;
         let attached = region.attach(port)?;
-        let canvas = Canvas { attached: &attached, link: &link, jobs: &jobs };
+        let canvas = Canvas { attached: &attached, link: &link, jobs: &jobs, kernel };
         if region.choice().used == BackendKind::Soft {
             canvas.draw_all(Slotted { attached: &attached, length: image_bytes })?;
         } else {
@@ -71,6 +72,7 @@ struct Canvas<'a> {
     attached: &'a Attached<Port>,
     link: &'a Link,
     jobs: &'a Receiver<Arc<Job>>,
+    kernel: Kernel,
 }
 
 impl Canvas<'_> {
@@ -92,7 +94,7 @@ impl Canvas<'_> {
         while let Some(id) = job.take() {
             let Some(tile) = job.tiles.get(id) else { continue };
             let pixels = &mut pixels[..tile.pixels()];
-            drawn.add(&render_tile(scene, &job.frame, tile, pixels, &mut ()));
+            drawn.add(&render_tile(scene, &job.frame, tile, self.kernel, pixels, &mut ()));
             if !batch.push(id, pixels) {
                 self.send(core::mem::replace(&mut batch, TileBatch::new(job.frame.number)))?;
                 batch.push(id, pixels);

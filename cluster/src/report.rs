@@ -93,6 +93,8 @@ pub struct ProcessReport {
     pub backend: String,
     /// Backends that the system refused, and why.
     pub backends_declined: Vec<String>,
+    /// The kernel in use: `rays`, or beams with `portable`, `avx2` or `avx512` lanes; empty for a store.
+    pub kernel: String,
     /// The replacement policy in use; empty where nothing is replaced.
     pub policy: String,
     /// Loads that met an absent page.

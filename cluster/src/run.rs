@@ -10,7 +10,7 @@ use anyhow::{Context, Result, bail};
 use dsm_core::replacement::PolicyKind;
 use fault_linux::BackendKind;
 use rt_core::camera::OrbitPlace;
-use rt_core::{Frame, Header, Orbit};
+use rt_core::{Frame, Header, Kernel, Orbit};
 use scene::builtin::BuiltIn;
 use transport_shm::{Inbox, Layout, PageFile};
 
@@ -47,6 +47,8 @@ pub struct Options {
     pub backend: Option<BackendKind>,
     /// Which page leaves.
     pub policy: PolicyKind,
+    /// How tiles are drawn; `None`: by the fastest kernel that the node's processor has.
+    pub kernel: Option<Kernel>,
     /// How pages travel.
     pub transport: TransportKind,
     /// The picture's size.
@@ -82,6 +84,7 @@ impl Default for Options {
             page_bytes: None,
             backend: None,
             policy: PolicyKind::Random,
+            kernel: None,
             transport: TransportKind::Shm,
             size: PictureSize { width: 512, height: 512 },
             frames: 1,
@@ -199,6 +202,7 @@ impl Run {
             binds_to_cores: self.binds_to_cores(options),
             backend: options.backend.map_or("auto", BackendKind::name).to_owned(),
             policy: options.policy.name().to_owned(),
+            kernel: options.kernel.map_or("auto", Kernel::name).to_owned(),
             transport: self.transport,
             spin_us: self.spin_us(),
             deadline_us: u64::try_from(options.deadline.as_micros()).unwrap_or(u64::MAX),

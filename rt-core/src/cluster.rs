@@ -77,6 +77,18 @@ impl<'a> Cluster<'a> {
         &self.place
     }
 
+    /// The vertices' coordinates, by axis; a multiple of four each.
+    #[inline]
+    pub(crate) const fn axes(&self) -> [&'a [[u8; 4]]; 3] {
+        self.axes
+    }
+
+    /// The triangles' first, second and third corners, as vertices; a multiple of four each.
+    #[inline]
+    pub(crate) const fn corners(&self) -> [&'a [u8]; 3] {
+        self.corners
+    }
+
     /// Address-order index of triangle `index`.
     #[inline]
     pub fn primitive(&self, index: usize) -> Primitive {

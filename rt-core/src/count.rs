@@ -72,6 +72,15 @@ pub struct TileCounts {
     pub t_sum: f64,
 }
 
+impl core::ops::Add for TileCounts {
+    type Output = Self;
+
+    fn add(mut self, other: Self) -> Self {
+        self += other;
+        self
+    }
+}
+
 impl core::ops::AddAssign for TileCounts {
     fn add_assign(&mut self, other: Self) {
         self.primary += other.primary;

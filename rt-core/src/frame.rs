@@ -19,8 +19,8 @@ pub struct Frame {
     pub width: u32,
     /// Rows, `1..=SIZE_MAX`.
     pub height: u32,
-    /// Zero.
-    pub reserved: u32,
+    /// Bits: what to leave out. See [`NO_SHADOWS`](Self::NO_SHADOWS).
+    pub flags: u32,
     /// Eye and directions of the pixels.
     pub camera: Camera,
     /// Where the point light is, in world units.
@@ -47,9 +47,14 @@ pub enum FrameError {
     },
     /// A number of the camera or light is NaN or infinite.
     NotFinite,
+    /// Flags that this build does not know.
+    Flags(u32),
 }
 
 impl Frame {
+    /// Flag: the light shines through everything, and no shadow rays are traced.
+    pub const NO_SHADOWS: u32 = 1;
+
     /// Largest width and height.
     pub const SIZE_MAX: u32 = 16_384;
 
@@ -65,7 +70,7 @@ impl Frame {
             number: place.frame,
             width,
             height,
-            reserved: 0,
+            flags: 0,
             camera: orbit.camera(place, width, height),
             light: orbit.light(),
             shadow_offset: orbit.shadow_offset(),
@@ -81,6 +86,12 @@ impl Frame {
         let frame: Self =
             bytemuck::try_pod_read_unaligned(bytes).map_err(|_| FrameError::Length { got: bytes.len() })?;
         frame.check()
+    }
+
+    /// Whether points look for what stands between them and the light.
+    #[inline]
+    pub const fn has_shadows(&self) -> bool {
+        self.flags & Self::NO_SHADOWS == 0
     }
 
     /// The bytes of the frame.
@@ -99,6 +110,9 @@ impl Frame {
         if !vectors.iter().all(|v| v.is_finite()) || !numbers.iter().all(|n| n.is_finite()) {
             return Err(FrameError::NotFinite);
         }
+        if self.flags & !Self::NO_SHADOWS != 0 {
+            return Err(FrameError::Flags(self.flags));
+        }
         Ok(self)
     }
 }
@@ -110,6 +124,7 @@ impl fmt::Display for FrameError {
             Self::Size { width, height } => {
                 write!(f, "pictures are 1 to {} pixels wide and high, not {width}x{height}", Frame::SIZE_MAX)
             }
+            Self::Flags(flags) => write!(f, "a frame with flags that this build does not know: {flags:#x}"),
             Self::NotFinite => write!(f, "camera or light has a coordinate that is not finite"),
         }
     }

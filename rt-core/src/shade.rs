@@ -77,13 +77,11 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-pub(crate) fn unit(vector: [f64; 3]) -> Vec3 {
-    // The largest component is brought to 1 first, so that no square underflows.
-    let largest = vector.iter().fold(0.0, |largest: f64, component| largest.max(component.abs()));
-    let [x, y, z] = vector.map(|component| component / largest);
-    let length = libm::sqrt(x * x + y * y + z * z);
+pub(crate) fn unit([x, y, z]: [f64; 3]) -> Vec3 {
+    // Differences of coordinates are 0 or at least 2^-149, their products' squares at least 2^-596: no underflow.
+    let per_length = 1.0 / libm::sqrt(x * x + y * y + z * z);
     #[expect(clippy::cast_possible_truncation, reason = "rounding to single precision is the result")]
-    let unit = [x, y, z].map(|component| (component / length) as f32);
+    let unit = [x, y, z].map(|component| (component * per_length) as f32);
     Vec3::from(unit)
 }
 

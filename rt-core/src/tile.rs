@@ -2,10 +2,11 @@
 
 use glam::Vec3;
 
+use crate::beam;
 use crate::count::{Count, TileCounts};
 use crate::frame::Frame;
-use crate::grid::GridShape;
 use crate::grid_ray::GridRay;
+use crate::kernel::Kernel;
 use crate::kinds::{ForKinds, Kinds, dispatch};
 use crate::memory::SceneMemory;
 use crate::scale::Scale;
@@ -86,7 +87,8 @@ impl Tile {
 /// Draws one tile: a grey byte per pixel, row by row, into `pixels`.
 ///
 /// Each pixel is one ray from the eye, flat shading, and a hard shadow of the point light. The bytes depend
-/// on the scene and the frame alone.
+/// on the scene and the frame alone, not on the kernel. Beams take some 60 KB of stack. They know triangles only: a
+/// scene with spheres is drawn by rays.
 ///
 /// # Edge cases
 /// A pixel whose rays end in [`Damaged`] shows the background and is counted.
@@ -97,18 +99,20 @@ pub fn render_tile<M: SceneMemory, C: Count>(
     scene: &SceneView<M>,
     frame: &Frame,
     tile: Tile,
+    kernel: Kernel,
     pixels: &mut [u8],
     work: &mut C,
 ) -> TileCounts {
     assert_eq!(pixels.len(), tile.pixels(), "the pixels lent do not fit the tile");
-    dispatch(scene.header().needs, DrawTile { scene, frame, tile, pixels, work })
+    let view = TileView::new(scene, frame);
+    dispatch(scene.header().needs, DrawTile { view: &view, tile, kernel, pixels, work })
 }
 
-/// What [`render_tile`] was called with.
+/// A tile, and how to draw it.
 struct DrawTile<'a, M, C> {
-    scene: &'a SceneView<M>,
-    frame: &'a Frame,
+    view: &'a TileView<'a, M>,
     tile: Tile,
+    kernel: Kernel,
     pixels: &'a mut [u8],
     work: &'a mut C,
 }
@@ -117,62 +121,114 @@ impl<M: SceneMemory, C: Count> ForKinds for DrawTile<'_, M, C> {
     type Output = TileCounts;
 
     fn run<K: Kinds>(self) -> TileCounts {
-        let Self { scene, frame, tile, pixels, work } = self;
-        let mut painter = Painter::new(scene, frame, work);
-        for (y, row) in (tile.y..).zip(pixels.chunks_exact_mut(tile.width as usize)) {
-            let row_direction = frame.camera.row(y);
-            for (x, pixel) in (tile.x..).zip(row) {
-                let grey = painter.grey::<K>(frame.camera.direction(row_direction, x)).unwrap_or_else(|_| {
-                    painter.counts.damaged += 1;
-                    shade::BACKGROUND
-                });
-                *pixel = shade::byte(grey);
+        let Self { view, tile, kernel, pixels, work } = self;
+        let by_beams = match kernel {
+            Kernel::Beams(lanes) if K::TRIANGLES && !K::SPHERES => {
+                beam::draw(lanes, view, tile, pixels, work)
             }
-        }
-        painter.counts
+            _ => None,
+        };
+        by_beams.unwrap_or_else(|| draw_by_rays::<M, C, K>(view, tile, pixels, work))
     }
 }
 
-/// The frame in grid units, and what was counted so far.
-struct Painter<'a, M, C> {
-    scene: &'a SceneView<M>,
-    work: &'a mut C,
-    grid: &'a GridShape,
-    eye: Vec3,
-    light: Vec3,
-    shadow_offset: f32,
-    counts: TileCounts,
+/// Draws a tile one ray after the other.
+fn draw_by_rays<M: SceneMemory, C: Count, K: Kinds>(
+    view: &TileView<'_, M>,
+    tile: Tile,
+    pixels: &mut [u8],
+    work: &mut C,
+) -> TileCounts {
+    let (scene, frame) = (view.scene, view.frame);
+    let mut painter = Painter { view, work, counts: TileCounts::default(), depths: Depths::new() };
+    for (y, row) in (0_u32..).zip(pixels.chunks_exact_mut(tile.width as usize)) {
+        let row_direction = frame.camera.row(tile.y + y);
+        for (x, pixel) in (0_u32..).zip(row) {
+            let direction = frame.camera.direction(row_direction, tile.x + x);
+            let grey = painter.grey::<K>((x as usize, y as usize), direction).unwrap_or_else(|_| {
+                painter.counts.damaged += 1;
+                shade::BACKGROUND
+            });
+            *pixel = shade::byte(grey);
+        }
+    }
+    let t_sum = painter.depths.sum(scene.header().scale().inverse());
+    TileCounts { t_sum, ..painter.counts }
 }
 
-impl<'a, M: SceneMemory, C: Count> Painter<'a, M, C> {
-    fn new(scene: &'a SceneView<M>, frame: &Frame, work: &'a mut C) -> Self {
+/// A scene, and a frame of it in grid units.
+pub(crate) struct TileView<'a, M> {
+    pub(crate) scene: &'a SceneView<M>,
+    pub(crate) frame: &'a Frame,
+    pub(crate) eye: Vec3,
+    pub(crate) light: Vec3,
+    pub(crate) shadow_offset: f32,
+}
+
+impl<'a, M: SceneMemory> TileView<'a, M> {
+    fn new(scene: &'a SceneView<M>, frame: &'a Frame) -> Self {
         let scale = scene.header().scale();
         Self {
             scene,
-            work,
-            grid: &scene.header().grid,
+            frame,
             eye: scale.apply_to(frame.camera.eye),
             light: scale.apply_to(frame.light),
             shadow_offset: scale.apply(frame.shadow_offset),
-            counts: TileCounts::default(),
         }
     }
+}
 
-    /// Grey of the pixel whose ray goes along `direction`.
+/// Depths of the pixels of a tile in grid units, by block of 4x4 pixels; 0 where nothing is hit.
+pub(crate) struct Depths([[f32; 16]; 16]);
+
+impl Depths {
+    pub(crate) const fn new() -> Self {
+        Self([[0.0; 16]; 16])
+    }
+
+    pub(crate) const fn block(&mut self, block: usize) -> &mut [f32; 16] {
+        &mut self.0[block]
+    }
+
+    /// Sum of all depths, in world units; always added in the same order.
+    pub(crate) fn sum(&self, world_from_grid: Scale) -> f64 {
+        let mut sums = [0.0; 16];
+        for block in &self.0 {
+            for (sum, &t) in sums.iter_mut().zip(block) {
+                *sum += f64::from(world_from_grid.apply(t));
+            }
+        }
+        sums.iter().sum()
+    }
+}
+
+/// A tile being drawn ray by ray, and what was counted so far.
+struct Painter<'a, M, C> {
+    view: &'a TileView<'a, M>,
+    work: &'a mut C,
+    counts: TileCounts,
+    depths: Depths,
+}
+
+impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
+    /// Grey of the pixel at `(x, y)` of the tile, whose ray goes along `direction`.
     #[inline]
-    fn grey<K: Kinds>(&mut self, direction: Vec3) -> Result<f32, Damaged> {
+    fn grey<K: Kinds>(&mut self, (x, y): (usize, usize), direction: Vec3) -> Result<f32, Damaged> {
+        let &TileView { scene, eye, light, shadow_offset, .. } = self.view;
         self.counts.primary += 1;
         // In grid units throughout: `t` here is in grid lengths of the direction.
-        let Some(ray) = GridRay::new(self.eye, direction, f32::INFINITY, Scale::ONE, self.grid) else {
+        let Some(ray) = GridRay::new(eye, direction, f32::INFINITY, Scale::ONE, &scene.header().grid) else {
             return Ok(shade::BACKGROUND);
         };
-        let nearest = walk::<M, C, K, false>(self.scene, &ray, self.work)?;
+        let nearest = walk::<M, C, K, false>(scene, &ray, self.work)?;
         let Some(hit) = ray.hit::<K>(&nearest) else { return Ok(shade::BACKGROUND) };
         self.counts.hits += 1;
-        self.counts.t_sum += f64::from(self.scene.header().scale().inverse().apply(hit.t));
-        let at = self.eye + direction * hit.t;
-        match LitPoint::new(at, hit.normal, direction, self.light, self.shadow_offset) {
-            Some(point) if self.reaches_light::<K>(&point)? => Ok(point.lit_grey()),
+        self.depths.block(y / 4 * 4 + x / 4)[y % 4 * 4 + x % 4] = hit.t;
+        let at = eye + direction * hit.t;
+        match LitPoint::new(at, hit.normal, direction, light, shadow_offset) {
+            Some(point) if !self.view.frame.has_shadows() || self.reaches_light::<K>(&point)? => {
+                Ok(point.lit_grey())
+            }
             _ => Ok(shade::SHADOW),
         }
     }
@@ -180,8 +236,9 @@ impl<'a, M: SceneMemory, C: Count> Painter<'a, M, C> {
     #[inline]
     fn reaches_light<K: Kinds>(&mut self, point: &LitPoint) -> Result<bool, Damaged> {
         self.counts.shadow += 1;
-        let blocked = match GridRay::new(point.point, point.to_light, 1.0, Scale::ONE, self.grid) {
-            Some(ray) => walk::<M, C, K, true>(self.scene, &ray, self.work)?.surface.is_some(),
+        let scene = self.view.scene;
+        let blocked = match GridRay::new(point.point, point.to_light, 1.0, Scale::ONE, &scene.header().grid) {
+            Some(ray) => walk::<M, C, K, true>(scene, &ray, self.work)?.surface.is_some(),
             None => false,
         };
         self.counts.lit += u64::from(!blocked);

@@ -238,18 +238,18 @@ impl<M: SceneMemory, C: Count> Walk<'_, M, C> {
 }
 
 /// How many records a ray may still read; a valid image never runs out, since a ray meets each at most once.
-struct Budget {
-    branches: u32,
-    leaves: u32,
+pub(crate) struct Budget {
+    pub(crate) branches: u32,
+    pub(crate) leaves: u32,
 }
 
 impl Budget {
-    const fn of(header: &Header) -> Self {
+    pub(crate) const fn of(header: &Header) -> Self {
         Self { branches: header.branches, leaves: header.leaves }
     }
 
     #[inline]
-    fn spend(left: &mut u32) -> Result<(), Damaged> {
+    pub(crate) fn spend(left: &mut u32) -> Result<(), Damaged> {
         *left = left.checked_sub(1).ok_or(Damaged::Cycle)?;
         Ok(())
     }

@@ -5,7 +5,7 @@
 use std::path::PathBuf;
 
 use rt_core::camera::OrbitPlace;
-use rt_core::{Flat, Frame, Orbit, SceneView, TileCounts, Tiles, render_tile};
+use rt_core::{Flat, Frame, Kernel, Orbit, SceneView, TileCounts, Tiles, render_tile};
 use scene::{BuildOptions, Model, build, builtin, read_mesh};
 
 /// Frame 0 at 512x512: hits, shadow rays, lit, mean t.
@@ -91,7 +91,7 @@ fn count(scene: &SceneView<Flat<'_>>, peer: &Peer) -> TileCounts {
     let tiles = Tiles::of(frame.width, frame.height);
     let mut counts = TileCounts::default();
     for tile in tiles.ids().filter_map(|id| tiles.get(id)) {
-        counts += render_tile(scene, &frame, tile, &mut vec![0; tile.pixels()], &mut ());
+        counts += render_tile(scene, &frame, tile, Kernel::fastest(), &mut vec![0; tile.pixels()], &mut ());
     }
     counts
 }

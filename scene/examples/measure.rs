@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! cargo run --release -p scene --example measure -- MESH.ply
-//!     [--radius 1.5,0.75] [--elevation 0] [--frame 0] [--size 512] [--page 16384] [--slack 0.5]
+//!     [--radius 1.5,0.75] [--kernels avx512,avx2,portable,rays] [--elevation 0] [--frame 0] [--size 512] [--page 16384] [--slack 0.5]
 //!     [--reps 5] [--threads 1] [--out PICTURE.png]
 //! ```
 //! Without a mesh, or with a number in its place, the built-in knot is used, of that many triangles; with a name
@@ -13,9 +13,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use rt_core::camera::OrbitPlace;
-use rt_core::{
-    Count, Damaged, Flat, Frame, Orbit, Ray, SceneView, TileCounts, Tiles, WorkCounts, render_tile,
-};
+use rt_core::{Count, Flat, Frame, Kernel, Orbit, SceneView, TileCounts, Tiles, WorkCounts, render_tile};
 use scene::builtin::{BuiltIn, BuiltInError};
 use scene::{BuildOptions, Info, Model, build, builtin, read_mesh};
 
@@ -29,7 +27,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let scene = SceneView::new(Flat::new(&image))?;
     print_info(&Info::from(scene.header()));
     for &radius in &options.radii {
-        measure_rays(&scene, radius, &options)?;
+        for &kernel in &options.kernels {
+            measure_rays(&scene, radius, kernel, &options)?;
+        }
     }
     Ok(())
 }
@@ -75,44 +75,33 @@ fn print_info(info: &Info) {
     );
 }
 
-fn measure_rays(scene: &SceneView<Flat<'_>>, radius: f32, options: &Options) -> Result<(), Box<dyn Error>> {
+fn measure_rays(
+    scene: &SceneView<Flat<'_>>,
+    radius: f32,
+    kernel: Kernel,
+    options: &Options,
+) -> Result<(), Box<dyn Error>> {
     let orbit = Orbit::around(&scene.header().view);
     let place = OrbitPlace { radius, elevation: options.elevation, frame: options.frame, frames: 12 };
     let frame = Frame::on_orbit(&orbit, &place, options.size, options.size)?;
     let (mut whole, mut primary) = (Vec::new(), Vec::new());
     let mut work = WorkCounts::default();
-    let (counts, picture) = draw(scene, &frame, &mut work);
+    let (counts, picture) = draw(scene, &frame, kernel, &mut work);
     for _ in 0..options.reps {
         let started = Instant::now();
-        draw(scene, &frame, &mut ());
+        draw(scene, &frame, kernel, &mut ());
         whole.push(started.elapsed().as_secs_f64());
         let started = Instant::now();
-        let hits = trace_primary(scene, &frame)?;
+        let (lit, _) = draw(scene, &Frame { flags: Frame::NO_SHADOWS, ..frame }, kernel, &mut ());
         primary.push(started.elapsed().as_secs_f64());
-        assert_eq!(hits, counts.hits, "both ways trace the same rays");
+        assert_eq!(lit.hits, counts.hits, "both trace the same rays");
     }
+    print!("{}, ", kernel);
     print_rays(radius, &counts, &work, best_and_median(&mut whole), best_and_median(&mut primary));
     if let Some(path) = &options.out {
         write_png(&picture, options.size, path)?;
     }
     Ok(())
-}
-
-/// Traces the rays from the eye and does nothing with their hits but count them.
-fn trace_primary(scene: &SceneView<Flat<'_>>, frame: &Frame) -> Result<u64, Damaged> {
-    let tiles = Tiles::of(frame.width, frame.height);
-    let mut hits = 0;
-    for tile in tiles.ids().filter_map(|id| tiles.get(id)) {
-        for y in tile.y..tile.y + tile.height {
-            let row = frame.camera.row(y);
-            for x in tile.x..tile.x + tile.width {
-                let direction = frame.camera.direction(row, x);
-                let ray = Ray { origin: frame.camera.eye, direction, t_max: f32::INFINITY };
-                hits += u64::from(scene.nearest(&ray, &mut ())?.is_some());
-            }
-        }
-    }
-    Ok(hits)
 }
 
 fn print_rays(radius: f32, counts: &TileCounts, work: &WorkCounts, whole: (f64, f64), primary: (f64, f64)) {
@@ -145,13 +134,18 @@ fn print_rays(radius: f32, counts: &TileCounts, work: &WorkCounts, whole: (f64, 
     );
 }
 
-fn draw(scene: &SceneView<Flat<'_>>, frame: &Frame, work: &mut impl Count) -> (TileCounts, Vec<u8>) {
+fn draw(
+    scene: &SceneView<Flat<'_>>,
+    frame: &Frame,
+    kernel: Kernel,
+    work: &mut impl Count,
+) -> (TileCounts, Vec<u8>) {
     let tiles = Tiles::of(frame.width, frame.height);
     let mut picture = vec![0; frame.width as usize * frame.height as usize];
     let mut counts = TileCounts::default();
     for tile in tiles.ids().filter_map(|id| tiles.get(id)) {
         let mut pixels = vec![0; tile.pixels()];
-        counts += render_tile(scene, frame, tile, &mut pixels, work);
+        counts += render_tile(scene, frame, tile, kernel, &mut pixels, work);
         for (y, row) in (tile.y..).zip(pixels.chunks(tile.width as usize)) {
             let start = y as usize * frame.width as usize + tile.x as usize;
             picture[start..start + row.len()].copy_from_slice(row);
@@ -175,6 +169,7 @@ fn best_and_median(times: &mut [f64]) -> (f64, f64) {
 struct Options {
     mesh: Option<String>,
     radii: Vec<f32>,
+    kernels: Vec<Kernel>,
     elevation: f64,
     frame: u32,
     size: u32,
@@ -190,6 +185,7 @@ impl Options {
         let mut options = Self {
             mesh: None,
             radii: vec![1.5, 0.75],
+            kernels: vec![Kernel::fastest(), Kernel::Rays],
             elevation: 0.0,
             frame: 0,
             size: 512,
@@ -205,6 +201,9 @@ impl Options {
             match argument.as_str() {
                 "--radius" => {
                     options.radii = value()?.split(',').map(str::parse).collect::<Result<_, _>>()?
+                }
+                "--kernels" => {
+                    options.kernels = value()?.split(',').map(str::parse).collect::<Result<_, _>>()?;
                 }
                 "--elevation" => options.elevation = value()?.parse()?,
                 "--frame" => options.frame = value()?.parse()?,

@@ -8,7 +8,7 @@ use rt_core::camera::OrbitPlace;
 use rt_core::cluster::{Cluster, cluster_bytes};
 use rt_core::grid::LeafContent;
 use rt_core::sphere::{Sphere, SphereCluster, spheres_bytes};
-use rt_core::{Flat, Frame, Orbit, Primitive, SceneView, Tiles, render_tile};
+use rt_core::{Flat, Frame, Kernel, Orbit, Primitive, SceneView, Tiles, render_tile};
 use scene::file::view_of;
 use scene::{BuildOptions, Mesh, Model, OpenError, SceneFile, build, builtin};
 
@@ -27,7 +27,7 @@ fn picture(scene: &SceneView<Flat<'_>>, frame: u32) -> Vec<u8> {
     let mut bytes = Vec::new();
     for tile in tiles.ids().filter_map(|id| tiles.get(id)) {
         let mut pixels = vec![0; tile.pixels()];
-        let counts = render_tile(scene, &frame, tile, &mut pixels, &mut ());
+        let counts = render_tile(scene, &frame, tile, Kernel::fastest(), &mut pixels, &mut ());
         assert_eq!((counts.primary, counts.damaged), (tile.pixels() as u64, 0));
         bytes.extend(pixels);
     }

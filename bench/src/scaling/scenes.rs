@@ -2,12 +2,13 @@
 
 use std::fs::{self, File};
 use std::io::BufWriter;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
 use memsavvy::run::Source;
 use scene::{BuildOptions, Mesh, build, builtin, read_mesh};
 
+use crate::data;
 use crate::experiment::Effort;
 
 /// Scene images in a folder of their own, removed on drop.
@@ -43,7 +44,7 @@ impl Scenes {
         let mut scenes = Self { folder, scenes: Vec::new() };
         effort.say("preparing scenes");
         scenes.add("knot", builtin::knot(effort.pick(600_000, 60_000)))?;
-        for (name, path) in MESHES.iter().filter_map(|name| Some((name, mesh_file(name, effort)?))) {
+        for (name, path) in MESHES.iter().filter_map(|name| Some((name, data::mesh_file(name, effort)?))) {
             ensure!(path.exists(), "MEMSAVVY_DATA is set and there is no {}", path.display());
             scenes.add(name, read_mesh(&path)?)?;
         }
@@ -81,13 +82,4 @@ impl Drop for Scenes {
         // What cannot be removed lies in the system's temporary folder.
         let _ = fs::remove_dir_all(&self.folder);
     }
-}
-
-/// Where a mesh lies, if a data folder is named.
-fn mesh_file(name: &str, effort: Effort) -> Option<PathBuf> {
-    let Some(folder) = std::env::var_os("MEMSAVVY_DATA") else {
-        effort.say(&format!("{name} is left out: MEMSAVVY_DATA does not name the data folder"));
-        return None;
-    };
-    Some(Path::new(&folder).join("meshes").join(format!("{name}.ply")))
 }

@@ -12,6 +12,15 @@ pub fn image(mesh: &Mesh, slack: f32, page_bytes: u32) -> Vec<u8> {
     scene.to_bytes(page_bytes).expect("an image that fits")
 }
 
+/// A file of the data folder; `None`, said aloud, when there is no such folder.
+pub fn data(name: &str) -> Option<std::path::PathBuf> {
+    let folder = std::env::var_os("MEMSAVVY_DATA").map(std::path::PathBuf::from);
+    if folder.is_none() {
+        eprintln!("skipped: MEMSAVVY_DATA does not name the folder with {name}");
+    }
+    folder.map(|folder| folder.join(name))
+}
+
 /// Asserts that the grid answers as brute force does, bit for bit, for nearest and any hit.
 pub fn agree(scene: &SceneView<Flat<'_>>, ray: &Ray) -> Option<Hit> {
     let walked = scene.nearest(ray, &mut ()).expect("a sound image");

@@ -16,7 +16,7 @@ use dsm_core::storage::{PageEntry, SlotEntry, Storage};
 use dsm_core::time::Instant;
 use dsm_core::wire::{HEADER_BYTES, Message};
 use rt_core::camera::OrbitPlace;
-use rt_core::{Flat, Frame, Orbit, SceneView, TileId, Tiles, WorkCounts, render_tile};
+use rt_core::{Flat, Frame, Kernel, Orbit, SceneView, TileId, Tiles, WorkCounts, render_tile};
 
 /// A scene image as a file on disk or a page from the network would have it, aligned as a page is.
 #[repr(align(4096))]
@@ -86,12 +86,13 @@ fn trace(image: &[u8]) -> Option<u64> {
     let place = OrbitPlace { radius: 0.75, elevation: 10.0, frame: 1, frames: 8 };
     let frame = Frame::on_orbit(&orbit, &place, 48, 32).ok()?;
     let tiles = Tiles::of(frame.width, frame.height);
+    let kernel = Kernel::fastest();
     let mut counts = WorkCounts::default();
     let mut hits = 0;
     for id in 0..tiles.count() {
         let tile = tiles.get(TileId(id))?;
         let mut pixels = [0; 256];
-        let counted = render_tile(&scene, &frame, tile, &mut pixels[..tile.pixels()], &mut counts);
+        let counted = render_tile(&scene, &frame, tile, kernel, &mut pixels[..tile.pixels()], &mut counts);
         if counted.damaged > 0 {
             return None;
         }

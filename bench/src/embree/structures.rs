@@ -1,0 +1,108 @@
+//! What building takes, and the memory of what is built.
+
+use anyhow::Result;
+
+use super::Amount;
+use super::ours;
+use super::peer::{Built, Edges, Peer, Quality};
+use super::subject::Subject;
+use crate::findings::Aim;
+use crate::spread::Spread;
+use crate::table::{Cell, Table};
+
+/// The structures that were built so far.
+#[derive(Debug)]
+pub(super) struct Structures {
+    builds: usize,
+    table: Table,
+    aims: Vec<Aim>,
+}
+
+/// Bytes of our image, for each triangle.
+const BYTES_MAX: f64 = 22.0;
+
+/// The structures of Embree, in this order, so that in the end both kinds of edges have one of high quality.
+const OF_EMBREE: [(Edges, Quality); 4] = [
+    (Edges::Fast, Quality::Medium),
+    (Edges::Robust, Quality::Medium),
+    (Edges::Fast, Quality::High),
+    (Edges::Robust, Quality::High),
+];
+
+impl Structures {
+    pub(super) fn new(Amount { builds, .. }: Amount) -> Self {
+        let heads = ["scene", "structure", "build ms", "primitives/s", "bytes/primitive", "with arrays"];
+        let title = format!("building with one thread, {builds} times, and the bytes that then are held");
+        let mut table = Table::new("structures", title, &heads);
+        table.note("build ms: processor time; of ours, to the bytes of the image");
+        table.note(
+            "with arrays: Embree's structure and the arrays of vertices and indices that it reads; our image holds all",
+        );
+        Self { builds, table, aims: Vec::new() }
+    }
+
+    /// Builds a subject by everybody. Returns our image, or `None` when it holds what we do not draw yet.
+    pub(super) fn build(&mut self, subject: &Subject, peers: &mut [Peer]) -> Result<Option<Vec<u8>>> {
+        let widest = peers.iter().map(|peer| peer.level).max();
+        let (peers, narrower): (Vec<_>, Vec<_>) =
+            peers.iter_mut().partition(|peer| Some(peer.level) == widest);
+        // Their builders differ little; they only need something to draw.
+        for peer in narrower {
+            peer.build(Edges::Robust, Quality::High)?;
+        }
+        let (mut ours, mut image) = (Vec::new(), None);
+        let mut theirs: Vec<_> = peers.into_iter().map(|peer| (peer, [const { Vec::new() }; 4])).collect();
+        for _ in 0..self.builds {
+            if let Some((time, bytes)) = ours::prepare(subject)? {
+                ours.push(time.cpu_ms);
+                image = Some(bytes);
+            }
+            for (peer, builds) in &mut theirs {
+                for ((edges, quality), builds) in OF_EMBREE.into_iter().zip(builds) {
+                    builds.push(peer.build(edges, quality)?);
+                }
+            }
+        }
+        match &image {
+            Some(image) => self.add_ours(subject, &ours, image),
+            None => self.table.note(format!("{}: we do not draw spheres yet", subject.name)),
+        }
+        theirs.iter().for_each(|(peer, builds)| self.add_embree(subject, &peer.name, builds));
+        Ok(image)
+    }
+
+    fn add_ours(&mut self, subject: &Subject, times_ms: &[f64], image: &[u8]) {
+        let bytes = image.len() as f64 / subject.primitives() as f64;
+        self.add_row(subject, "ours".to_owned(), times_ms, [bytes; 2]);
+        let what = format!("{}: bytes of our image a triangle", subject.name);
+        self.aims.push(Aim::at_most(what, bytes, BYTES_MAX));
+    }
+
+    fn add_embree(&mut self, subject: &Subject, name: &str, builds: &[Vec<Built>; 4]) {
+        let arrays = subject.mesh.bytes() + size_of_val(subject.spheres.as_slice()) as u64;
+        for ((edges, quality), builds) in OF_EMBREE.into_iter().zip(builds) {
+            let name = format!("{name}, {}, {}", quality.name(), edges.name());
+            let times_ms: Vec<f64> = builds.iter().map(|built| built.time.cpu_ms).collect();
+            let bytes = builds.last().map_or(0, |built| built.bytes);
+            let each = |bytes: u64| bytes as f64 / subject.primitives() as f64;
+            self.add_row(subject, name, &times_ms, [each(bytes), each(bytes + arrays)]);
+        }
+    }
+
+    fn add_row(&mut self, subject: &Subject, name: String, times_ms: &[f64], [bytes, with_arrays]: [f64; 2]) {
+        let build_ms = Spread::of(times_ms);
+        self.table.push(vec![
+            Cell::text(&*subject.name),
+            Cell::text(name),
+            Cell::Spread(build_ms, 2),
+            Cell::Number(subject.primitives() as f64 / build_ms.median * 1e3, 0),
+            Cell::Number(bytes, 1),
+            Cell::Number(with_arrays, 1),
+        ]);
+    }
+
+    /// The table and the aims.
+    pub(super) fn finish(self) -> (Table, Vec<Aim>) {
+        (self.table, self.aims)
+    }
+}

@@ -1,0 +1,223 @@
+//! The **beam** kernel: a tile of rays with one common origin goes through the grid as one pyramid.
+//!
+//! # How it goes
+//! 1. At a branch the 64 cells are culled at once against the four sides of the pyramid and the farthest depth that
+//!    still matters ([`frustum`]); what is left is taken front to back ([`walk`]).
+//! 2. A leaf's tight box is tested against the sixteen *blocks* of the pyramid, and against what each block already
+//!    sees.
+//! 3. The vertices of a cluster are projected into the plane of the tile ([`projection`]), its triangles taken
+//!    sixteen at a time: most miss every pixel. Small ones are tested a pixel each, sixteen triangles at once; large
+//!    ones against blocks of 4x4 pixels ([`edges`], [`pixels`]).
+//! 4. Points, normals and light of sixteen pixels at a time ([`surface`]).
+//! 5. Shadows: the same with the light as the eye and the lit points as the pixels ([`samples`]).
+//!
+//! # Why it draws what rays draw
+//! Projection is rounded, so it only *proposes*. Its uncertainty is bounded ([`Projection`](projection::Projection));
+//! where a decision lies within it (a point next to an edge, two triangles equally deep) the ray of that pixel
+//! decides, with the very test of the ray kernel. That happens to some pixels in a hundred. What is then computed from the
+//! triangle that a pixel shows is again the ray kernel's arithmetic, lane by lane. So a tile has the same bits by
+//! beam, by rays, and with any lanes, and the order of visits does not show.
+//!
+//! # When rays take over
+//! Whole tiles: a scene with spheres, a camera that is askew or very wide, an eye or light very far away, an image that lies. Shadows of a tile: lit
+//! points that the light sees in a wide angle. Single clusters: those that reach behind the eye.
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "numbers of lanes, blocks, pixels and triangles of one tile; they are small and not negative"
+)]
+
+mod edges;
+mod frustum;
+mod pixels;
+mod projection;
+mod samples;
+mod surface;
+mod walk;
+mod winners;
+
+use crate::count::{Count, TileCounts};
+use crate::grid_ray::GridRay;
+use crate::kinds::OnlyTriangles;
+use crate::memory::SceneMemory;
+use crate::scale::Scale;
+use crate::shade;
+use crate::simd::{LANES, Lanes, Mask, Simd, Task, each};
+use crate::tile::{Depths, Tile, TileView};
+use crate::view::Damaged;
+use crate::walk::walk as walk_by_ray;
+use frustum::Frustum;
+use pixels::{ByBlock, Pixels};
+use projection::Projection;
+use samples::{Points, Samples};
+use surface::{Lighting, surface};
+use walk::{Beam, walk};
+
+/// Draws a tile by beams, or tells that it has to be drawn by rays.
+pub(crate) fn draw<M: SceneMemory, C: Count>(
+    lanes: Lanes,
+    view: &TileView<'_, M>,
+    tile: Tile,
+    pixels: &mut [u8],
+    work: &mut C,
+) -> Option<TileCounts> {
+    lanes.run(Draw { view, tile, pixels, work })
+}
+
+struct Draw<'a, M, C> {
+    view: &'a TileView<'a, M>,
+    tile: Tile,
+    pixels: &'a mut [u8],
+    work: &'a mut C,
+}
+
+impl<M: SceneMemory, C: Count> Task for Draw<'_, M, C> {
+    type Output = Option<TileCounts>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) -> Option<TileCounts> {
+        let Self { view, tile, pixels: bytes, work } = self;
+        let pixels = see(s, view, tile, work)?.ok()?;
+        let lighting = Lighting { eye: view.eye, light: view.light, shadow_offset: view.shadow_offset };
+        let mut lit =
+            Lit { grey: [[shade::BACKGROUND; LANES]; LANES], facing: [0; LANES], points: Points::new() };
+        let mut depths = Depths::new();
+        for block in 0..LANES {
+            let hit = pixels.hit[block];
+            if hit != 0 {
+                let seen = surface(s, &pixels, block, &view.frame.camera, tile, &lighting);
+                s.store(s.select(hit, seen.t, s.splat(0.0)), depths.block(block));
+                lit.add(s, block, hit, &seen);
+            }
+        }
+        let shadow = if view.frame.has_shadows() { lit.points.count as u64 } else { 0 };
+        let shadowed = if shadow == 0 { 0 } else { lit.cast_shadows(s, view, work).ok()? };
+        write(&lit.grey, tile, bytes);
+        Some(TileCounts {
+            primary: tile.pixels() as u64,
+            hits: pixels.hit.iter().map(|hit| u64::from(hit.count_ones())).sum(),
+            shadow,
+            lit: shadow - shadowed,
+            damaged: 0,
+            t_sum: depths.sum(view.scene.header().scale().inverse()),
+        })
+    }
+}
+
+/// Finds the nearest triangle of each pixel; `None` when the camera is not for beams.
+#[inline(always)]
+fn see<'a, S: Simd, M: SceneMemory, C: Count>(
+    s: S,
+    view: &'a TileView<'_, M>,
+    tile: Tile,
+    work: &mut C,
+) -> Option<Result<Pixels<'a>, Damaged>> {
+    let camera = &view.frame.camera;
+    let projection = Projection::of_tile(camera, view.eye, tile)?;
+    let mut pixels = Pixels::new(camera, view.eye, tile);
+    let [columns, rows] = pixels.borders();
+    let frustum = Frustum::new(s, &projection, &columns, &rows, &view.scene.header().grid)?;
+    let beam = Beam { projection: &projection, frustum: &frustum };
+    Some(walk(s, view.scene, &beam, &mut pixels, work).map(|()| pixels))
+}
+
+/// What the pixels of a tile show, and where light may fall.
+struct Lit {
+    /// Greys; where `facing`, those of points that the light reaches.
+    grey: ByBlock<f32>,
+    facing: [Mask; LANES],
+    points: Points,
+}
+
+impl Lit {
+    #[inline(always)]
+    fn add<S: Simd>(&mut self, s: S, block: usize, hit: Mask, seen: &surface::Surface<S::F>) {
+        let facing = seen.facing & hit;
+        self.facing[block] = facing;
+        let grey = s.select(facing, seen.grey, s.splat(shade::SHADOW));
+        s.store(s.select(hit, grey, s.splat(shade::BACKGROUND)), &mut self.grey[block]);
+        let point = each!(3: seen.point, value => s.array(value));
+        let mut left = facing;
+        while left != 0 {
+            let lane = left.trailing_zeros() as usize;
+            left &= left - 1;
+            self.points.push([point[0][lane], point[1][lane], point[2][lane]]);
+        }
+    }
+
+    /// Darkens the pixels that the light does not reach, and counts them.
+    #[inline(always)]
+    fn cast_shadows<S: Simd, M: SceneMemory, C: Count>(
+        &mut self,
+        s: S,
+        view: &TileView<'_, M>,
+        work: &mut C,
+    ) -> Result<u64, Damaged> {
+        let shadowed = match self.points.projection(s, view.light) {
+            Some(projection) => by_beam(s, &self.points, &projection, view, work)?,
+            None => None,
+        };
+        let shadowed = match shadowed {
+            Some(shadowed) => shadowed,
+            None => by_rays(&self.points, view, work)?,
+        };
+        let (mut index, mut count) = (0, 0);
+        for (grey, &facing) in self.grey.iter_mut().zip(&self.facing) {
+            let mut left = facing;
+            while left != 0 {
+                let lane = left.trailing_zeros() as usize;
+                left &= left - 1;
+                if shadowed[index] {
+                    grey[lane] = shade::SHADOW;
+                    count += 1;
+                }
+                index += 1;
+            }
+        }
+        Ok(count)
+    }
+}
+
+/// Whether each point lies in shadow; `None` when the light is not for beams.
+#[inline(always)]
+fn by_beam<S: Simd, M: SceneMemory, C: Count>(
+    s: S,
+    points: &Points,
+    projection: &Projection,
+    view: &TileView<'_, M>,
+    work: &mut C,
+) -> Result<Option<[bool; samples::SAMPLES_MAX]>, Damaged> {
+    let [columns, rows] = Samples::borders();
+    let Some(frustum) = Frustum::new(s, projection, &columns, &rows, &view.scene.header().grid) else {
+        return Ok(None);
+    };
+    let mut samples = Samples::new(s, points, projection);
+    walk(s, view.scene, &Beam { projection, frustum: &frustum }, &mut samples, work)?;
+    Ok(Some(samples.shadowed))
+}
+
+fn by_rays<M: SceneMemory, C: Count>(
+    points: &Points,
+    view: &TileView<'_, M>,
+    work: &mut C,
+) -> Result<[bool; samples::SAMPLES_MAX], Damaged> {
+    let mut shadowed = [false; samples::SAMPLES_MAX];
+    for (index, shadowed) in shadowed.iter_mut().take(points.count).enumerate() {
+        let point = points.get(index);
+        let ray = GridRay::new(point, view.light - point, 1.0, Scale::ONE, &view.scene.header().grid);
+        if let Some(ray) = ray {
+            *shadowed = walk_by_ray::<M, C, OnlyTriangles, true>(view.scene, &ray, work)?.surface.is_some();
+        }
+    }
+    Ok(shadowed)
+}
+
+/// Turns greys into bytes, row by row.
+#[inline(always)]
+fn write(grey: &ByBlock<f32>, tile: Tile, bytes: &mut [u8]) {
+    for (y, row) in bytes.chunks_exact_mut(tile.width as usize).enumerate() {
+        for (x, byte) in row.iter_mut().enumerate() {
+            *byte = shade::byte(grey[y / 4 * 4 + x / 4][y % 4 * 4 + x % 4]);
+        }
+    }
+}

@@ -1,0 +1,320 @@
+//! Sixteen lanes as two registers of AVX2.
+#![allow(unsafe_code, reason = "intrinsics; every call is made through `with!`, which holds the argument")]
+
+use core::arch::x86_64::*;
+
+use super::{Kind, LANES, Mask, Simd, Task};
+
+/// The proof that the processor has AVX2.
+#[derive(Clone, Copy)]
+pub(super) struct Avx2(());
+
+/// Runs a task compiled for these instructions.
+#[inline]
+pub(super) fn run<T: Task>(task: T, kind: Kind) -> T::Output {
+    assert!(kind == Kind::Avx2, "lanes that were found out to be there");
+    // SAFETY: a `Kind` of this name stands only in a `Lanes`, which exists only where `detect` found the instructions.
+    unsafe { run_there(task) }
+}
+
+#[target_feature(enable = "avx2,bmi1,popcnt")]
+fn run_there<T: Task>(task: T) -> T::Output {
+    task.run(Avx2(()))
+}
+
+/// An intrinsic.
+macro_rules! with {
+    ($call:expr) => {
+        // SAFETY: an `Avx2` exists only inside `run_there`, where the processor has these instructions. Those that take
+        // a pointer get one from a reference to as many bytes as they touch.
+        unsafe { $call }
+    };
+}
+
+/// Both halves of the lanes.
+macro_rules! both {
+    ($of:ident($($a:ident),*)) => { [with!($of($($a[0]),*)), with!($of($($a[1]),*))] };
+}
+
+/// The sign bits of both halves.
+#[inline(always)]
+#[allow(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "eight bits each")]
+fn signs([low, high]: [__m256; 2]) -> Mask {
+    with!(_mm256_movemask_ps(low)) as Mask | (with!(_mm256_movemask_ps(high)) as Mask) << 8
+}
+
+/// Up to eight little-endian `f32`; lanes beyond are 0.
+#[inline(always)]
+fn eight(bytes: &[[u8; 4]]) -> __m256 {
+    if let Some(bytes) = bytes.first_chunk::<8>() {
+        return with!(_mm256_loadu_ps(bytes.as_ptr().cast()));
+    }
+    let mut lanes = [[0; 4]; 8];
+    for (lane, bytes) in lanes.iter_mut().zip(bytes) {
+        *lane = *bytes;
+    }
+    with!(_mm256_loadu_ps(lanes.as_ptr().cast()))
+}
+
+/// All ones where a bit of the mask is set, eight bits from `shift` on.
+#[inline(always)]
+fn widened(mask: Mask, shift: u32) -> __m256 {
+    let all = with!(_mm256_set1_epi32(i32::from(mask >> shift & 0xff)));
+    let own = with!(_mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128));
+    let met = with!(_mm256_and_si256(all, own));
+    let met = with!(_mm256_cmpeq_epi32(met, own));
+    with!(_mm256_castsi256_ps(met))
+}
+
+/// Eight entries of a table of 32.
+#[inline(always)]
+fn look_up(parts: [__m256; 4], index: __m256i) -> __m256 {
+    let parts = each!(4: parts, part => with!(_mm256_permutevar8x32_ps(part, index)));
+    // Bits 3 and 4 of the index, brought to the sign.
+    let third = with!(_mm256_slli_epi32::<28>(index));
+    let fourth = with!(_mm256_slli_epi32::<27>(index));
+    let third = with!(_mm256_castsi256_ps(third));
+    let fourth = with!(_mm256_castsi256_ps(fourth));
+    let low = with!(_mm256_blendv_ps(parts[0], parts[1], third));
+    let high = with!(_mm256_blendv_ps(parts[2], parts[3], third));
+    with!(_mm256_blendv_ps(low, high, fourth))
+}
+
+/// Two halves of an array.
+#[inline(always)]
+fn halves<T>(array: &[T; LANES]) -> [&[T; 8]; 2] {
+    let (halves, _) = array.as_chunks();
+    [&halves[0], &halves[1]]
+}
+
+impl Simd for Avx2 {
+    type F = [__m256; 2];
+    type I = [__m256i; 2];
+    type D = [__m256d; 4];
+
+    #[inline(always)]
+    fn splat(self, value: f32) -> Self::F {
+        [with!(_mm256_set1_ps(value)); 2]
+    }
+
+    #[inline(always)]
+    fn load(self, from: &[f32; LANES]) -> Self::F {
+        each!(2: halves(from), half => with!(_mm256_loadu_ps(half.as_ptr())))
+    }
+
+    #[inline(always)]
+    fn load_le(self, from: &[[u8; 4]]) -> Self::F {
+        [eight(from), eight(from.get(8..).unwrap_or_default())]
+    }
+
+    #[inline(always)]
+    fn store(self, value: Self::F, to: &mut [f32; LANES]) {
+        let (halves, _) = to.as_chunks_mut::<8>();
+        with!(_mm256_storeu_ps(halves[0].as_mut_ptr(), value[0]));
+        with!(_mm256_storeu_ps(halves[1].as_mut_ptr(), value[1]));
+    }
+
+    #[inline(always)]
+    fn add(self, a: Self::F, b: Self::F) -> Self::F {
+        both!(_mm256_add_ps(a, b))
+    }
+
+    #[inline(always)]
+    fn sub(self, a: Self::F, b: Self::F) -> Self::F {
+        both!(_mm256_sub_ps(a, b))
+    }
+
+    #[inline(always)]
+    fn mul(self, a: Self::F, b: Self::F) -> Self::F {
+        both!(_mm256_mul_ps(a, b))
+    }
+
+    #[inline(always)]
+    fn div(self, a: Self::F, b: Self::F) -> Self::F {
+        both!(_mm256_div_ps(a, b))
+    }
+
+    #[inline(always)]
+    fn min(self, a: Self::F, b: Self::F) -> Self::F {
+        both!(_mm256_min_ps(a, b))
+    }
+
+    #[inline(always)]
+    fn max(self, a: Self::F, b: Self::F) -> Self::F {
+        both!(_mm256_max_ps(a, b))
+    }
+
+    #[inline(always)]
+    fn abs(self, a: Self::F) -> Self::F {
+        let sign = [with!(_mm256_set1_ps(-0.0)); 2];
+        both!(_mm256_andnot_ps(sign, a))
+    }
+
+    #[inline(always)]
+    fn sqrt(self, a: Self::F) -> Self::F {
+        both!(_mm256_sqrt_ps(a))
+    }
+
+    #[inline(always)]
+    fn lt(self, a: Self::F, b: Self::F) -> Mask {
+        signs([
+            with!(_mm256_cmp_ps::<_CMP_LT_OQ>(a[0], b[0])),
+            with!(_mm256_cmp_ps::<_CMP_LT_OQ>(a[1], b[1])),
+        ])
+    }
+
+    #[inline(always)]
+    fn le(self, a: Self::F, b: Self::F) -> Mask {
+        signs([
+            with!(_mm256_cmp_ps::<_CMP_LE_OQ>(a[0], b[0])),
+            with!(_mm256_cmp_ps::<_CMP_LE_OQ>(a[1], b[1])),
+        ])
+    }
+
+    #[inline(always)]
+    fn select(self, mask: Mask, yes: Self::F, no: Self::F) -> Self::F {
+        let bits = [widened(mask, 0), widened(mask, 8)];
+        both!(_mm256_blendv_ps(no, yes, bits))
+    }
+
+    #[inline(always)]
+    fn least(self, a: Self::F) -> f32 {
+        let mut lanes = [0.0; LANES];
+        self.store(a, &mut lanes);
+        let mut least = f32::INFINITY;
+        for lane in lanes {
+            least = if lane < least { lane } else { least };
+        }
+        least
+    }
+
+    #[inline(always)]
+    fn lookup(self, table: &[[f32; LANES]; 2], index: Self::I) -> Self::F {
+        let [a, b] = [self.load(&table[0]), self.load(&table[1])];
+        let parts = [a[0], a[1], b[0], b[1]];
+        [look_up(parts, index[0]), look_up(parts, index[1])]
+    }
+
+    #[inline(always)]
+    fn bytes(self, from: &[u8]) -> Self::I {
+        let mut padded = [0; LANES];
+        let bytes = if let Some(bytes) = from.first_chunk::<LANES>() {
+            bytes
+        } else {
+            for (lane, byte) in padded.iter_mut().zip(from) {
+                *lane = *byte;
+            }
+            &padded
+        };
+        each!(2: halves(bytes), half => {
+            let half = with!(_mm_loadl_epi64(half.as_ptr().cast()));
+            with!(_mm256_cvtepu8_epi32(half))
+        })
+    }
+
+    #[inline(always)]
+    fn splat_int(self, value: i32) -> Self::I {
+        [with!(_mm256_set1_epi32(value)); 2]
+    }
+
+    #[inline(always)]
+    fn to_int(self, value: Self::F) -> Self::I {
+        both!(_mm256_cvttps_epi32(value))
+    }
+
+    #[inline(always)]
+    fn to_float(self, value: Self::I) -> Self::F {
+        both!(_mm256_cvtepi32_ps(value))
+    }
+
+    #[inline(always)]
+    fn store_int(self, value: Self::I, to: &mut [i32; LANES]) {
+        let (halves, _) = to.as_chunks_mut::<8>();
+        with!(_mm256_storeu_si256(halves[0].as_mut_ptr().cast(), value[0]));
+        with!(_mm256_storeu_si256(halves[1].as_mut_ptr().cast(), value[1]));
+    }
+
+    #[inline(always)]
+    fn sub_int(self, a: Self::I, b: Self::I) -> Self::I {
+        both!(_mm256_sub_epi32(a, b))
+    }
+
+    #[inline(always)]
+    fn or(self, a: Self::I, b: Self::I) -> Self::I {
+        both!(_mm256_or_si256(a, b))
+    }
+
+    #[inline(always)]
+    fn bits(self, a: Self::F) -> Self::I {
+        both!(_mm256_castps_si256(a))
+    }
+
+    #[inline(always)]
+    fn shift_left(self, a: Self::I, by: Self::I) -> Self::I {
+        both!(_mm256_sllv_epi32(a, by))
+    }
+
+    #[inline(always)]
+    fn shift_right(self, a: Self::I, by: Self::I) -> Self::I {
+        both!(_mm256_srlv_epi32(a, by))
+    }
+
+    #[inline(always)]
+    fn meet(self, a: Self::I, b: Self::I) -> Mask {
+        let both = both!(_mm256_and_si256(a, b));
+        let zero = [with!(_mm256_setzero_si256()); 2];
+        let apart = both!(_mm256_cmpeq_epi32(both, zero));
+        !signs(both!(_mm256_castsi256_ps(apart)))
+    }
+
+    #[inline(always)]
+    fn widen(self, a: Self::F) -> Self::D {
+        let low = each!(2: a, half => with!(_mm256_castps256_ps128(half)));
+        let high = each!(2: a, half => with!(_mm256_extractf128_ps::<1>(half)));
+        each!(4: [low[0], high[0], low[1], high[1]], quarter => with!(_mm256_cvtps_pd(quarter)))
+    }
+
+    #[inline(always)]
+    fn narrow(self, a: Self::D) -> Self::F {
+        let quarters = each!(4: a, quarter => with!(_mm256_cvtpd_ps(quarter)));
+        [with!(_mm256_set_m128(quarters[1], quarters[0])), with!(_mm256_set_m128(quarters[3], quarters[2]))]
+    }
+
+    #[inline(always)]
+    fn add_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_add_pd(a[quarter], b[quarter])))
+    }
+
+    #[inline(always)]
+    fn sub_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_sub_pd(a[quarter], b[quarter])))
+    }
+
+    #[inline(always)]
+    fn mul_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_mul_pd(a[quarter], b[quarter])))
+    }
+
+    #[inline(always)]
+    fn div_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_div_pd(a[quarter], b[quarter])))
+    }
+
+    #[inline(always)]
+    fn sqrt_f64(self, a: Self::D) -> Self::D {
+        each!(4: a, quarter => with!(_mm256_sqrt_pd(quarter)))
+    }
+
+    #[inline(always)]
+    fn is_zero_f64(self, a: Self::D) -> Mask {
+        let zero = with!(_mm256_setzero_pd());
+        let mut mask = 0;
+        for (at, quarter) in a.into_iter().enumerate() {
+            let equal = with!(_mm256_cmp_pd::<_CMP_EQ_OQ>(quarter, zero));
+            #[allow(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "four bits")]
+            let bits = with!(_mm256_movemask_pd(equal)) as Mask;
+            mask |= bits << (4 * at);
+        }
+        mask
+    }
+}

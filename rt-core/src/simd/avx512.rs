@@ -1,0 +1,234 @@
+//! Sixteen lanes as one register of AVX-512.
+#![allow(unsafe_code, reason = "intrinsics; every call is made through `with!`, which holds the argument")]
+
+use core::arch::x86_64::*;
+
+use super::{Kind, LANES, Mask, Simd, Task};
+
+/// The proof that the processor has AVX-512 F, DQ, BW and VL.
+#[derive(Clone, Copy)]
+pub(super) struct Avx512(());
+
+/// Runs a task compiled for these instructions.
+#[inline]
+pub(super) fn run<T: Task>(task: T, kind: Kind) -> T::Output {
+    assert!(kind == Kind::Avx512, "lanes that were found out to be there");
+    // SAFETY: a `Kind` of this name stands only in a `Lanes`, which exists only where `detect` found the instructions.
+    unsafe { run_there(task) }
+}
+
+#[target_feature(enable = "avx512f,avx512dq,avx512bw,avx512vl,avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn run_there<T: Task>(task: T) -> T::Output {
+    task.run(Avx512(()))
+}
+
+/// An intrinsic.
+macro_rules! with {
+    ($call:expr) => {
+        // SAFETY: an `Avx512` exists only inside `run_there`, where the processor has these instructions. Those that take
+        // a pointer get one from a reference to as many bytes as they touch, or a mask of the bytes they may touch.
+        unsafe { $call }
+    };
+}
+
+/// A mask of the first `count` lanes.
+#[inline(always)]
+fn first(count: usize) -> Mask {
+    if count >= LANES { Mask::MAX } else { (1 << count) - 1 }
+}
+
+impl Simd for Avx512 {
+    type F = __m512;
+    type I = __m512i;
+    type D = (__m512d, __m512d);
+
+    #[inline(always)]
+    fn splat(self, value: f32) -> Self::F {
+        with!(_mm512_set1_ps(value))
+    }
+
+    #[inline(always)]
+    fn load(self, from: &[f32; LANES]) -> Self::F {
+        with!(_mm512_loadu_ps(from.as_ptr()))
+    }
+
+    #[inline(always)]
+    fn load_le(self, from: &[[u8; 4]]) -> Self::F {
+        with!(_mm512_maskz_loadu_ps(first(from.len()), from.as_ptr().cast()))
+    }
+
+    #[inline(always)]
+    fn store(self, value: Self::F, to: &mut [f32; LANES]) {
+        with!(_mm512_storeu_ps(to.as_mut_ptr(), value))
+    }
+
+    #[inline(always)]
+    fn add(self, a: Self::F, b: Self::F) -> Self::F {
+        with!(_mm512_add_ps(a, b))
+    }
+
+    #[inline(always)]
+    fn sub(self, a: Self::F, b: Self::F) -> Self::F {
+        with!(_mm512_sub_ps(a, b))
+    }
+
+    #[inline(always)]
+    fn mul(self, a: Self::F, b: Self::F) -> Self::F {
+        with!(_mm512_mul_ps(a, b))
+    }
+
+    #[inline(always)]
+    fn div(self, a: Self::F, b: Self::F) -> Self::F {
+        with!(_mm512_div_ps(a, b))
+    }
+
+    #[inline(always)]
+    fn min(self, a: Self::F, b: Self::F) -> Self::F {
+        with!(_mm512_min_ps(a, b))
+    }
+
+    #[inline(always)]
+    fn max(self, a: Self::F, b: Self::F) -> Self::F {
+        with!(_mm512_max_ps(a, b))
+    }
+
+    #[inline(always)]
+    fn abs(self, a: Self::F) -> Self::F {
+        with!(_mm512_abs_ps(a))
+    }
+
+    #[inline(always)]
+    fn sqrt(self, a: Self::F) -> Self::F {
+        with!(_mm512_sqrt_ps(a))
+    }
+
+    #[inline(always)]
+    fn lt(self, a: Self::F, b: Self::F) -> Mask {
+        with!(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b))
+    }
+
+    #[inline(always)]
+    fn le(self, a: Self::F, b: Self::F) -> Mask {
+        with!(_mm512_cmp_ps_mask::<_CMP_LE_OQ>(a, b))
+    }
+
+    #[inline(always)]
+    fn select(self, mask: Mask, yes: Self::F, no: Self::F) -> Self::F {
+        with!(_mm512_mask_blend_ps(mask, no, yes))
+    }
+
+    #[inline(always)]
+    fn least(self, a: Self::F) -> f32 {
+        with!(_mm512_reduce_min_ps(a))
+    }
+
+    #[inline(always)]
+    fn lookup(self, table: &[[f32; LANES]; 2], index: Self::I) -> Self::F {
+        let [low, high] = [self.load(&table[0]), self.load(&table[1])];
+        with!(_mm512_permutex2var_ps(low, index, high))
+    }
+
+    #[inline(always)]
+    fn bytes(self, from: &[u8]) -> Self::I {
+        let bytes = with!(_mm_maskz_loadu_epi8(first(from.len()), from.as_ptr().cast()));
+        with!(_mm512_cvtepu8_epi32(bytes))
+    }
+
+    #[inline(always)]
+    fn splat_int(self, value: i32) -> Self::I {
+        with!(_mm512_set1_epi32(value))
+    }
+
+    #[inline(always)]
+    fn to_int(self, value: Self::F) -> Self::I {
+        with!(_mm512_cvttps_epi32(value))
+    }
+
+    #[inline(always)]
+    fn to_float(self, value: Self::I) -> Self::F {
+        with!(_mm512_cvtepi32_ps(value))
+    }
+
+    #[inline(always)]
+    fn store_int(self, value: Self::I, to: &mut [i32; LANES]) {
+        with!(_mm512_storeu_epi32(to.as_mut_ptr(), value))
+    }
+
+    #[inline(always)]
+    fn sub_int(self, a: Self::I, b: Self::I) -> Self::I {
+        with!(_mm512_sub_epi32(a, b))
+    }
+
+    #[inline(always)]
+    fn or(self, a: Self::I, b: Self::I) -> Self::I {
+        with!(_mm512_or_si512(a, b))
+    }
+
+    #[inline(always)]
+    fn bits(self, a: Self::F) -> Self::I {
+        with!(_mm512_castps_si512(a))
+    }
+
+    #[inline(always)]
+    fn shift_left(self, a: Self::I, by: Self::I) -> Self::I {
+        with!(_mm512_sllv_epi32(a, by))
+    }
+
+    #[inline(always)]
+    fn shift_right(self, a: Self::I, by: Self::I) -> Self::I {
+        with!(_mm512_srlv_epi32(a, by))
+    }
+
+    #[inline(always)]
+    fn meet(self, a: Self::I, b: Self::I) -> Mask {
+        with!(_mm512_test_epi32_mask(a, b))
+    }
+
+    #[inline(always)]
+    fn widen(self, a: Self::F) -> Self::D {
+        let low = with!(_mm512_castps512_ps256(a));
+        let high = with!(_mm512_extractf32x8_ps::<1>(a));
+        (with!(_mm512_cvtps_pd(low)), with!(_mm512_cvtps_pd(high)))
+    }
+
+    #[inline(always)]
+    fn narrow(self, a: Self::D) -> Self::F {
+        let low = with!(_mm512_cvtpd_ps(a.0));
+        let low = with!(_mm512_castps256_ps512(low));
+        let high = with!(_mm512_cvtpd_ps(a.1));
+        with!(_mm512_insertf32x8::<1>(low, high))
+    }
+
+    #[inline(always)]
+    fn add_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        (with!(_mm512_add_pd(a.0, b.0)), with!(_mm512_add_pd(a.1, b.1)))
+    }
+
+    #[inline(always)]
+    fn sub_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        (with!(_mm512_sub_pd(a.0, b.0)), with!(_mm512_sub_pd(a.1, b.1)))
+    }
+
+    #[inline(always)]
+    fn mul_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        (with!(_mm512_mul_pd(a.0, b.0)), with!(_mm512_mul_pd(a.1, b.1)))
+    }
+
+    #[inline(always)]
+    fn div_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        (with!(_mm512_div_pd(a.0, b.0)), with!(_mm512_div_pd(a.1, b.1)))
+    }
+
+    #[inline(always)]
+    fn sqrt_f64(self, a: Self::D) -> Self::D {
+        (with!(_mm512_sqrt_pd(a.0)), with!(_mm512_sqrt_pd(a.1)))
+    }
+
+    #[inline(always)]
+    fn is_zero_f64(self, a: Self::D) -> Mask {
+        let zero = with!(_mm512_setzero_pd());
+        let low = with!(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(a.0, zero));
+        let high = with!(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(a.1, zero));
+        Mask::from(low) | Mask::from(high) << 8
+    }
+}

@@ -1,0 +1,310 @@
+//! Sixteen lanes at a time, in three instances that give the same bits: portable, AVX2, AVX-512.
+//!
+//! Kernels are written once, over [`Simd`], and always think in sixteen lanes: one register of AVX-512, two of
+//! AVX2, an array elsewhere. Every operation is one that IEEE 754 rounds correctly, or moves bits about; there
+//! is no fused multiply-add and no approximate reciprocal. So the instances cannot differ.
+//!
+//! [`Lanes`] says which instance is used. It is found out once, at run time, and can be forced to less.
+
+/// An array of what `$body` makes of each of two, three or five.
+///
+/// In place of `array::map`: a closure is a function of its own, compiled without the instructions of the lanes.
+macro_rules! each {
+    (2: $array:expr, $x:pat => $body:expr) => {{
+        let [a, b] = $array;
+        [
+            {
+                let $x = a;
+                $body
+            },
+            {
+                let $x = b;
+                $body
+            },
+        ]
+    }};
+    (3: $array:expr, $x:pat => $body:expr) => {{
+        let [a, b, c] = $array;
+        [
+            {
+                let $x = a;
+                $body
+            },
+            {
+                let $x = b;
+                $body
+            },
+            {
+                let $x = c;
+                $body
+            },
+        ]
+    }};
+    (4: $array:expr, $x:pat => $body:expr) => {{
+        let [a, b, c, d] = $array;
+        [
+            {
+                let $x = a;
+                $body
+            },
+            {
+                let $x = b;
+                $body
+            },
+            {
+                let $x = c;
+                $body
+            },
+            {
+                let $x = d;
+                $body
+            },
+        ]
+    }};
+}
+pub(crate) use each;
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+#[cfg(target_arch = "x86_64")]
+mod detect;
+mod portable;
+#[cfg(test)]
+mod tests;
+
+use core::fmt;
+use core::str::FromStr;
+
+use portable::Portable;
+
+/// Sixteen bits, one for each lane, the lowest for the first.
+pub(crate) type Mask = u16;
+
+/// How many lanes there are.
+pub(crate) const LANES: usize = 16;
+
+/// Operations on sixteen lanes. The value is the proof that the processor has them.
+///
+/// `min`, `max` and comparisons treat NaN as the x86 instructions do: `min` and `max` give the second operand,
+/// comparisons are false.
+pub(crate) trait Simd: Copy {
+    /// Sixteen `f32`.
+    type F: Copy;
+    /// Sixteen 32-bit integers.
+    type I: Copy;
+    /// Sixteen `f64`.
+    type D: Copy;
+
+    fn splat(self, value: f32) -> Self::F;
+    fn load(self, from: &[f32; LANES]) -> Self::F;
+    /// Up to sixteen little-endian `f32`; lanes beyond are 0.
+    fn load_le(self, from: &[[u8; 4]]) -> Self::F;
+    fn store(self, value: Self::F, to: &mut [f32; LANES]);
+    fn add(self, a: Self::F, b: Self::F) -> Self::F;
+    fn sub(self, a: Self::F, b: Self::F) -> Self::F;
+    fn mul(self, a: Self::F, b: Self::F) -> Self::F;
+    fn div(self, a: Self::F, b: Self::F) -> Self::F;
+    fn min(self, a: Self::F, b: Self::F) -> Self::F;
+    fn max(self, a: Self::F, b: Self::F) -> Self::F;
+    fn abs(self, a: Self::F) -> Self::F;
+    fn sqrt(self, a: Self::F) -> Self::F;
+    fn lt(self, a: Self::F, b: Self::F) -> Mask;
+    fn le(self, a: Self::F, b: Self::F) -> Mask;
+    /// The lanes of `yes` where the mask is set, else those of `no`.
+    fn select(self, mask: Mask, yes: Self::F, no: Self::F) -> Self::F;
+    /// The smallest lane.
+    fn least(self, a: Self::F) -> f32;
+    /// For each lane, the entry of the table of 32 that the low five bits of the index name.
+    fn lookup(self, table: &[[f32; LANES]; 2], index: Self::I) -> Self::F;
+
+    /// Up to sixteen bytes as integers; lanes beyond are 0.
+    fn bytes(self, from: &[u8]) -> Self::I;
+    fn splat_int(self, value: i32) -> Self::I;
+    /// Cuts off the fraction. The values lie within ±2^30.
+    fn to_int(self, value: Self::F) -> Self::I;
+    fn to_float(self, value: Self::I) -> Self::F;
+    fn store_int(self, value: Self::I, to: &mut [i32; LANES]);
+    fn sub_int(self, a: Self::I, b: Self::I) -> Self::I;
+    fn or(self, a: Self::I, b: Self::I) -> Self::I;
+    /// The bits of sixteen `f32`.
+    fn bits(self, a: Self::F) -> Self::I;
+    /// Shifts by 0 to 31.
+    fn shift_left(self, a: Self::I, by: Self::I) -> Self::I;
+    /// Shifts zeros in from above, by 0 to 31.
+    fn shift_right(self, a: Self::I, by: Self::I) -> Self::I;
+    /// Whether the lanes have a bit in common.
+    fn meet(self, a: Self::I, b: Self::I) -> Mask;
+
+    fn widen(self, a: Self::F) -> Self::D;
+    /// Rounds to single precision.
+    fn narrow(self, a: Self::D) -> Self::F;
+    fn add_f64(self, a: Self::D, b: Self::D) -> Self::D;
+    fn sub_f64(self, a: Self::D, b: Self::D) -> Self::D;
+    fn mul_f64(self, a: Self::D, b: Self::D) -> Self::D;
+    fn div_f64(self, a: Self::D, b: Self::D) -> Self::D;
+    fn sqrt_f64(self, a: Self::D) -> Self::D;
+    /// Lanes that are 0, of either sign.
+    fn is_zero_f64(self, a: Self::D) -> Mask;
+
+    /// `a x + b y + c z`, added in this order.
+    #[inline(always)]
+    fn dot(self, [a, b, c]: [Self::F; 3], [x, y, z]: [Self::F; 3]) -> Self::F {
+        self.add(self.add(self.mul(a, x), self.mul(b, y)), self.mul(c, z))
+    }
+
+    #[inline(always)]
+    fn array(self, value: Self::F) -> [f32; LANES] {
+        let mut lanes = [0.0; LANES];
+        self.store(value, &mut lanes);
+        lanes
+    }
+
+    #[inline(always)]
+    fn int_array(self, value: Self::I) -> [i32; LANES] {
+        let mut lanes = [0; LANES];
+        self.store_int(value, &mut lanes);
+        lanes
+    }
+
+    #[inline(always)]
+    fn splat3(self, value: glam::Vec3) -> [Self::F; 3] {
+        [self.splat(value.x), self.splat(value.y), self.splat(value.z)]
+    }
+
+    #[inline(always)]
+    fn min3(self, [a, b, c]: [Self::F; 3]) -> Self::F {
+        self.min(self.min(a, b), c)
+    }
+
+    #[inline(always)]
+    fn max3(self, [a, b, c]: [Self::F; 3]) -> Self::F {
+        self.max(self.max(a, b), c)
+    }
+}
+
+/// What is to be done with sixteen lanes, whichever they are.
+///
+/// Implementations of `run`, and all that it calls, are inlined, so that they are compiled with the instructions
+/// of the instance.
+pub(crate) trait Task {
+    type Output;
+    fn run<S: Simd>(self, s: S) -> Self::Output;
+}
+
+/// The instance of the kernels: which instructions sixteen lanes are made of. All give the same bits.
+///
+/// A value exists only for instructions that this processor has.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Lanes(Kind);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Kind {
+    Portable,
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
+
+/// Why lanes were refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum LanesError {
+    /// There are no lanes of that name.
+    Unknown,
+    /// This processor does not have these instructions.
+    Absent,
+}
+
+impl Lanes {
+    /// Plain arrays, on any processor.
+    pub const PORTABLE: Self = Self(Kind::Portable);
+
+    /// The widest lanes that this processor has. Asks the processor; keep the answer.
+    pub fn widest() -> Self {
+        Self::available().last().unwrap_or(Self::PORTABLE)
+    }
+
+    /// All lanes that this processor has, narrowest first.
+    pub fn available() -> impl Iterator<Item = Self> {
+        ALL.into_iter().filter(|lanes| lanes.is_available())
+    }
+
+    /// The name that [`FromStr`] takes.
+    pub const fn name(self) -> &'static str {
+        match self.0 {
+            Kind::Portable => "portable",
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 => "avx2",
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 => "avx512",
+        }
+    }
+
+    fn is_available(self) -> bool {
+        match self.0 {
+            Kind::Portable => true,
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 => cfg!(feature = "lanes-avx2") && detect::has_avx2(),
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 => cfg!(feature = "lanes-avx512") && detect::has_avx512(),
+        }
+    }
+
+    /// Runs a task with these lanes.
+    #[inline]
+    pub(crate) fn run<T: Task>(self, task: T) -> T::Output {
+        match self.0 {
+            Kind::Portable => task.run(Portable),
+            #[cfg(all(target_arch = "x86_64", feature = "lanes-avx2"))]
+            Kind::Avx2 => avx2::run(task, self.0),
+            #[cfg(all(target_arch = "x86_64", feature = "lanes-avx512"))]
+            Kind::Avx512 => avx512::run(task, self.0),
+            #[cfg(target_arch = "x86_64")]
+            #[allow(
+                unreachable_patterns,
+                reason = "reached only without the features above, and no value is made then"
+            )]
+            _ => task.run(Portable),
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+const ALL: [Lanes; 3] = [Lanes(Kind::Portable), Lanes(Kind::Avx2), Lanes(Kind::Avx512)];
+#[cfg(not(target_arch = "x86_64"))]
+const ALL: [Lanes; 1] = [Lanes(Kind::Portable)];
+
+impl FromStr for Lanes {
+    type Err = LanesError;
+
+    fn from_str(name: &str) -> Result<Self, LanesError> {
+        let lanes = ALL.into_iter().find(|lanes| lanes.name() == name).ok_or(LanesError::Unknown)?;
+        if lanes.is_available() { Ok(lanes) } else { Err(LanesError::Absent) }
+    }
+}
+
+impl fmt::Display for Lanes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl fmt::Debug for Lanes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Lanes({self})")
+    }
+}
+
+impl fmt::Display for LanesError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Unknown => "lanes are portable, avx2 or avx512",
+            Self::Absent => "this processor does not have these instructions",
+        })
+    }
+}
+
+impl core::error::Error for LanesError {}

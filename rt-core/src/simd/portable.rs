@@ -1,0 +1,213 @@
+//! Sixteen lanes as arrays: the plain version, and the reference of the others.
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "conversions are what is asked for; indices are masked"
+)]
+
+use super::{LANES, Mask, Simd};
+
+/// Plain arrays.
+#[derive(Clone, Copy)]
+pub(super) struct Portable;
+
+#[inline(always)]
+fn map<A: Copy, B: Copy, R>(a: [A; LANES], b: [B; LANES], of: impl Fn(A, B) -> R) -> [R; LANES] {
+    core::array::from_fn(|lane| of(a[lane], b[lane]))
+}
+
+#[inline(always)]
+fn mask<A: Copy, B: Copy>(a: [A; LANES], b: [B; LANES], of: impl Fn(A, B) -> bool) -> Mask {
+    (0..LANES).fold(0, |mask, lane| mask | Mask::from(of(a[lane], b[lane])) << lane)
+}
+
+impl Simd for Portable {
+    type F = [f32; LANES];
+    type I = [i32; LANES];
+    type D = [f64; LANES];
+
+    #[inline(always)]
+    fn splat(self, value: f32) -> Self::F {
+        [value; LANES]
+    }
+
+    #[inline(always)]
+    fn load(self, from: &[f32; LANES]) -> Self::F {
+        *from
+    }
+
+    #[inline(always)]
+    fn load_le(self, from: &[[u8; 4]]) -> Self::F {
+        let mut lanes = [0.0; LANES];
+        lanes.iter_mut().zip(from).for_each(|(lane, &bytes)| *lane = f32::from_le_bytes(bytes));
+        lanes
+    }
+
+    #[inline(always)]
+    fn store(self, value: Self::F, to: &mut [f32; LANES]) {
+        *to = value;
+    }
+
+    #[inline(always)]
+    fn add(self, a: Self::F, b: Self::F) -> Self::F {
+        map(a, b, |a, b| a + b)
+    }
+
+    #[inline(always)]
+    fn sub(self, a: Self::F, b: Self::F) -> Self::F {
+        map(a, b, |a, b| a - b)
+    }
+
+    #[inline(always)]
+    fn mul(self, a: Self::F, b: Self::F) -> Self::F {
+        map(a, b, |a, b| a * b)
+    }
+
+    #[inline(always)]
+    fn div(self, a: Self::F, b: Self::F) -> Self::F {
+        map(a, b, |a, b| a / b)
+    }
+
+    #[inline(always)]
+    fn min(self, a: Self::F, b: Self::F) -> Self::F {
+        map(a, b, |a, b| if a < b { a } else { b })
+    }
+
+    #[inline(always)]
+    fn max(self, a: Self::F, b: Self::F) -> Self::F {
+        map(a, b, |a, b| if a > b { a } else { b })
+    }
+
+    #[inline(always)]
+    fn abs(self, a: Self::F) -> Self::F {
+        a.map(f32::abs)
+    }
+
+    #[inline(always)]
+    fn sqrt(self, a: Self::F) -> Self::F {
+        a.map(libm::sqrtf)
+    }
+
+    #[inline(always)]
+    fn lt(self, a: Self::F, b: Self::F) -> Mask {
+        mask(a, b, |a, b| a < b)
+    }
+
+    #[inline(always)]
+    fn le(self, a: Self::F, b: Self::F) -> Mask {
+        mask(a, b, |a, b| a <= b)
+    }
+
+    #[inline(always)]
+    fn select(self, mask: Mask, yes: Self::F, no: Self::F) -> Self::F {
+        core::array::from_fn(|lane| if mask >> lane & 1 != 0 { yes[lane] } else { no[lane] })
+    }
+
+    #[inline(always)]
+    fn least(self, a: Self::F) -> f32 {
+        a.into_iter().fold(f32::INFINITY, |least, lane| if lane < least { lane } else { least })
+    }
+
+    #[inline(always)]
+    fn lookup(self, table: &[[f32; LANES]; 2], index: Self::I) -> Self::F {
+        let table = table.as_flattened();
+        index.map(|index| table[(index & 31) as usize])
+    }
+
+    #[inline(always)]
+    fn bytes(self, from: &[u8]) -> Self::I {
+        let mut lanes = [0; LANES];
+        lanes.iter_mut().zip(from).for_each(|(lane, &byte)| *lane = i32::from(byte));
+        lanes
+    }
+
+    #[inline(always)]
+    fn splat_int(self, value: i32) -> Self::I {
+        [value; LANES]
+    }
+
+    #[inline(always)]
+    fn to_int(self, value: Self::F) -> Self::I {
+        value.map(|value| value as i32)
+    }
+
+    #[inline(always)]
+    fn to_float(self, value: Self::I) -> Self::F {
+        value.map(|value| value as f32)
+    }
+
+    #[inline(always)]
+    fn store_int(self, value: Self::I, to: &mut [i32; LANES]) {
+        *to = value;
+    }
+
+    #[inline(always)]
+    fn sub_int(self, a: Self::I, b: Self::I) -> Self::I {
+        map(a, b, i32::wrapping_sub)
+    }
+
+    #[inline(always)]
+    fn or(self, a: Self::I, b: Self::I) -> Self::I {
+        map(a, b, |a, b| a | b)
+    }
+
+    #[inline(always)]
+    fn bits(self, a: Self::F) -> Self::I {
+        a.map(|a| a.to_bits().cast_signed())
+    }
+
+    #[inline(always)]
+    fn shift_left(self, a: Self::I, by: Self::I) -> Self::I {
+        map(a, by, |a, by| a << (by & 31))
+    }
+
+    #[inline(always)]
+    fn shift_right(self, a: Self::I, by: Self::I) -> Self::I {
+        map(a, by, |a, by| (a.cast_unsigned() >> (by & 31)).cast_signed())
+    }
+
+    #[inline(always)]
+    fn meet(self, a: Self::I, b: Self::I) -> Mask {
+        mask(a, b, |a, b| a & b != 0)
+    }
+
+    #[inline(always)]
+    fn widen(self, a: Self::F) -> Self::D {
+        a.map(f64::from)
+    }
+
+    #[inline(always)]
+    fn narrow(self, a: Self::D) -> Self::F {
+        a.map(|a| a as f32)
+    }
+
+    #[inline(always)]
+    fn add_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        map(a, b, |a, b| a + b)
+    }
+
+    #[inline(always)]
+    fn sub_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        map(a, b, |a, b| a - b)
+    }
+
+    #[inline(always)]
+    fn mul_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        map(a, b, |a, b| a * b)
+    }
+
+    #[inline(always)]
+    fn div_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        map(a, b, |a, b| a / b)
+    }
+
+    #[inline(always)]
+    fn sqrt_f64(self, a: Self::D) -> Self::D {
+        a.map(libm::sqrt)
+    }
+
+    #[inline(always)]
+    fn is_zero_f64(self, a: Self::D) -> Mask {
+        mask(a, a, |a, _| a == 0.0)
+    }
+}

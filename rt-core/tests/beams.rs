@@ -1,0 +1,148 @@
+//! Beams against rays: the same bytes and counts for every tile, with all lanes.
+
+mod common;
+
+use common::{Dice, image, meshes};
+use glam::Vec3;
+use proptest::prelude::*;
+use rt_core::camera::OrbitPlace;
+use rt_core::{Bounds, Flat, Frame, Kernel, Orbit, SceneView, TileCounts, Tiles, render_tile};
+use scene::builtin;
+
+/// A picture and what was counted.
+type Drawn = (Vec<u8>, TileCounts);
+
+fn draw(scene: &SceneView<Flat<'_>>, frame: &Frame, kernel: Kernel) -> Vec<Drawn> {
+    let tiles = Tiles::of(frame.width, frame.height);
+    let one = |id| {
+        let tile = tiles.get(id).expect("below the count");
+        let mut pixels = vec![0; tile.pixels()];
+        let counts = render_tile(scene, frame, tile, kernel, &mut pixels, &mut ());
+        (pixels, counts)
+    };
+    tiles.ids().map(one).collect()
+}
+
+/// Asserts that all kernels draw the same, and gives back what was counted.
+fn agree(scene: &SceneView<Flat<'_>>, frame: &Frame, what: &str) -> TileCounts {
+    let by_rays = draw(scene, frame, Kernel::Rays);
+    for kernel in Kernel::available() {
+        let drawn = draw(scene, frame, kernel);
+        for (tile, (found, expected)) in drawn.iter().zip(&by_rays).enumerate() {
+            let differ = (0..found.0.len()).filter(|&at| found.0[at] != expected.0[at]).count();
+            assert!(
+                differ == 0 && found.1 == expected.1,
+                "{what}: tile {tile} by {kernel} has {differ} other pixels\n{:?}\n{:?}",
+                found.1,
+                expected.1
+            );
+        }
+    }
+    by_rays.iter().fold(TileCounts::default(), |sum, (_, counts)| sum + *counts)
+}
+
+fn on_orbit(bounds: &Bounds, place: &OrbitPlace, width: u32, height: u32) -> Frame {
+    Frame::on_orbit(&Orbit::around(bounds), place, width, height).expect("a frame")
+}
+
+#[test]
+fn a_knot_is_drawn_the_same_from_everywhere() {
+    for (triangles, slack) in [(2000, 0.5), (40_000, 0.5), (40_000, 0.0), (300_000, 0.5)] {
+        let image = image(&builtin::knot(triangles), slack, 16 << 10);
+        let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+        let mut hits = 0;
+        for (frame, radius) in [(0, 1.5), (1, 0.75), (2, 0.3), (3, 0.1), (4, 0.02), (5, 40.0), (6, 1.0)] {
+            let place = OrbitPlace { radius, elevation: f64::from(frame) * 15.0 - 40.0, frame, frames: 7 };
+            let frame = on_orbit(&scene.header().bounds, &place, 150, 121);
+            hits += agree(&scene, &frame, &format!("{triangles} triangles, {place:?}")).hits;
+        }
+        assert!(hits > 20_000, "{hits}");
+    }
+}
+
+#[test]
+fn real_meshes_are_drawn_the_same() {
+    for name in ["bunny", "dragon"] {
+        let Some(path) = common::data(&format!("meshes/{name}.ply")) else { return };
+        let mesh = scene::read_mesh(&path).expect("a sound mesh");
+        let image = image(&mesh, 0.5, 16 << 10);
+        let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+        for (frame, radius) in [(0, 1.5), (3, 0.75)] {
+            let place = OrbitPlace { radius, elevation: 0.0, frame, frames: 8 };
+            let frame = on_orbit(&scene.header().bounds, &place, 512, 512);
+            let counts = agree(&scene, &frame, &format!("{name}, {place:?}"));
+            assert!(counts.hits > 10_000 && counts.shadow > counts.lit, "{counts:?}");
+        }
+    }
+}
+
+/// A camera somewhere around or in the scene, looking anywhere, with a light anywhere.
+fn any_frame(scene: &SceneView<Flat<'_>>, dice: &mut Dice, size: u32) -> Frame {
+    let bounds = scene.header().bounds;
+    let place = OrbitPlace {
+        radius: [0.02, 0.2, 0.6, 1.5, 30.0, 3000.0][dice.below(6)],
+        elevation: f64::from(dice.unit()) * 180.0 - 90.0,
+        frame: u32::try_from(dice.below(360)).expect("small"),
+        frames: 360,
+    };
+    let mut frame = on_orbit(&bounds, &place, size, size);
+    let (centre, extent) = ((bounds.low + bounds.high) * 0.5, bounds.high - bounds.low);
+    if dice.below(2) == 0 {
+        frame.light = centre + extent * dice.point() * [0.1, 0.6, 3.0, 100.0][dice.below(4)];
+    }
+    if dice.below(4) == 0 {
+        frame.camera.eye = centre + extent * dice.point() * 0.6;
+    }
+    if dice.below(8) == 0 {
+        frame.camera.x_step *= [0.01, 3.0, -1.0][dice.below(3)];
+    }
+    frame
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
+
+    #[test]
+    fn any_scene_is_drawn_the_same(
+        mesh in meshes(),
+        slack in prop_oneof![Just(0.0_f32), Just(0.5), Just(3.0)],
+        seed: u64,
+    ) {
+        let image = image(&mesh, slack, 4096);
+        let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+        let mut dice = Dice(seed);
+        for _ in 0..4 {
+            let frame = any_frame(&scene, &mut dice, 40);
+            agree(&scene, &frame, &format!("{frame:?}"));
+        }
+    }
+}
+
+#[test]
+fn frames_that_no_camera_makes_are_drawn_the_same() {
+    let image = image(&builtin::knot(3000), 0.5, 4096);
+    let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+    let sound = on_orbit(
+        &scene.header().bounds,
+        &OrbitPlace { radius: 1.0, elevation: 5.0, frame: 0, frames: 1 },
+        33,
+        18,
+    );
+    let mut frames = vec![sound; 8];
+    frames[0].camera.right = Vec3::ZERO;
+    frames[1].camera.forward = Vec3::ZERO;
+    frames[2].camera.x_step = 0.0;
+    frames[3].camera.eye = Vec3::splat(1.0e30);
+    frames[4].light = sound.camera.eye;
+    frames[5].camera.up = sound.camera.right;
+    frames[6].camera.forward = sound.camera.forward * 1.0e-20;
+    frames[7].shadow_offset = -1.0;
+    for (number, frame) in frames.iter().enumerate() {
+        agree(&scene, frame, &format!("frame {number}"));
+    }
+    let all: u64 = frames
+        .iter()
+        .map(|frame| agree(&scene, &Frame { flags: Frame::NO_SHADOWS, ..*frame }, "no shadows").shadow)
+        .sum();
+    assert_eq!(all, 0);
+}
