@@ -9,6 +9,7 @@
 use glam::Vec3;
 
 use crate::count::Count;
+use crate::filter::Filter;
 use crate::grid::{ClusterRef, TRIANGLES_MAX, VERTICES_MAX};
 use crate::ray::Primitive;
 use crate::surface::Surface;
@@ -101,6 +102,16 @@ impl<'a> Cluster<'a> {
         self.corners.map(|corners| corners.get(index).map_or(Vec3::ZERO, |&vertex| self.vertex(vertex)))
     }
 
+    /// Whether triangle `index` has these corners.
+    #[inline]
+    pub(crate) fn is_triangle(&self, index: usize, corners: &[Vec3; 3]) -> bool {
+        (0..3).all(|corner| {
+            let vertex = self.corners[corner].get(index).copied().unwrap_or(0);
+            self.vertex(vertex) == corners[corner]
+        })
+    }
+
+    #[inline]
     fn vertex(&self, vertex: u8) -> Vec3 {
         let lane = |axis: usize| {
             self.axes[axis].get(usize::from(vertex)).map_or(0.0, |&bytes| f32::from_le_bytes(bytes))
@@ -111,7 +122,19 @@ impl<'a> Cluster<'a> {
     /// Offers every triangle that the ray hits to `nearest`; with `ANY`, stops at the first.
     ///
     /// The plain way to the same result is [`WoopRay::intersect`] for each triangle.
+    #[inline]
     pub fn intersect<const ANY: bool>(&self, ray: &WoopRay, nearest: &mut Nearest, count: &mut impl Count) {
+        self.intersect_filtered::<ANY>(ray, nearest, &mut (), count);
+    }
+
+    /// As [`intersect`](Self::intersect), for the triangles whose hits `filter` accepts.
+    pub fn intersect_filtered<const ANY: bool>(
+        &self,
+        ray: &WoopRay,
+        nearest: &mut Nearest,
+        filter: &mut impl Filter,
+        count: &mut impl Count,
+    ) {
         count.cluster();
         count.triangles(u32::from(self.place.triangles));
         let sheared = self.shear(ray, nearest.crossing.t);
@@ -121,7 +144,11 @@ impl<'a> Cluster<'a> {
             candidates &= candidates - 1;
             let [a, b, c] = self.corners.map(|corners| sheared.corner(corners[index]));
             if let Some(crossing) = cross(a, b, c, nearest.crossing.t) {
-                nearest.offer(crossing, self.primitive(index), self.triangle(index));
+                let (primitive, surface) = (self.primitive(index), Surface::Triangle(self.triangle(index)));
+                if !filter.accepts(&crossing, primitive, &surface) {
+                    continue;
+                }
+                nearest.offer(crossing, primitive, surface);
                 if ANY {
                     return;
                 }

@@ -8,11 +8,12 @@ use crate::cluster::Nearest;
 use crate::grid::{BoxFrame, FLIP_AXIS, GridShape};
 use crate::image::Header;
 use crate::kinds::Kinds;
-use crate::ray::{Hit, Ray};
+use crate::ray::{Hit, Primitive, Ray};
 use crate::scale::{Scale, exponent_of, power_of_two};
 use crate::shade;
 use crate::sphere::SphereRay;
 use crate::surface::Surface;
+use crate::triangle_test::TriangleTest;
 use crate::triangle_woop::{Crossing, WoopRay};
 
 /// A ray brought into grid space: coordinates by the image's scale, the direction normalised by a power of
@@ -78,10 +79,16 @@ impl GridRay {
         })
     }
 
-    /// The ray as the triangle test wants it.
+    /// The ray as the triangle test `T` wants it.
+    #[inline]
+    pub fn test<T: TriangleTest>(&self) -> T {
+        T::new(self.origin, self.direction)
+    }
+
+    /// The ray as the default triangle test wants it.
     #[inline]
     pub fn woop(&self) -> WoopRay {
-        WoopRay::new(self.origin, self.direction)
+        self.test()
     }
 
     /// The ray as the sphere test wants it.
@@ -104,8 +111,19 @@ impl GridRay {
     #[inline]
     pub fn hit<K: Kinds>(&self, nearest: &Nearest) -> Option<Hit> {
         let (primitive, surface) = nearest.surface?;
-        let Crossing { t, u, v } = nearest.crossing;
-        let normal = match &surface {
+        self.hit_at::<K>(&nearest.crossing, primitive, &surface)
+    }
+
+    /// A crossing in the caller's units. One with another kind than `K` is none.
+    #[inline]
+    pub(crate) fn hit_at<K: Kinds>(
+        &self,
+        crossing: &Crossing,
+        primitive: Primitive,
+        surface: &Surface,
+    ) -> Option<Hit> {
+        let Crossing { t, u, v } = *crossing;
+        let normal = match surface {
             Surface::Triangle(corners) if K::TRIANGLES => shade::normal(*corners, self.direction),
             Surface::Sphere(sphere) if K::SPHERES => self.sphere_ray().normal(sphere),
             _ => return None,

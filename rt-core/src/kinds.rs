@@ -5,6 +5,7 @@
 //! instances there are; [`SceneNeeds::BUILT`] is what they trace, and an image that needs more is refused.
 
 use crate::needs::SceneNeeds;
+use crate::triangle_test::TriangleTest;
 
 /// The kinds of primitives that an instance of a kernel traces.
 pub trait Kinds {
@@ -12,6 +13,8 @@ pub trait Kinds {
     const TRIANGLES: bool;
     /// It traces spheres.
     const SPHERES: bool;
+    /// `T` where triangles are traced; else `()`, which takes no time to prepare.
+    type Test<T: TriangleTest>: TriangleTest;
 }
 
 /// Triangles and nothing else.
@@ -29,16 +32,19 @@ pub struct AllKinds;
 impl Kinds for OnlyTriangles {
     const TRIANGLES: bool = true;
     const SPHERES: bool = false;
+    type Test<T: TriangleTest> = T;
 }
 
 impl Kinds for OnlySpheres {
     const TRIANGLES: bool = false;
     const SPHERES: bool = true;
+    type Test<T: TriangleTest> = ();
 }
 
 impl Kinds for AllKinds {
     const TRIANGLES: bool = true;
     const SPHERES: bool = true;
+    type Test<T: TriangleTest> = T;
 }
 
 /// Something to do with the instance of a kernel that fits a scene: a closure over a type.

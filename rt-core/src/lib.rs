@@ -16,6 +16,9 @@
 //! `triangles` and `spheres`, both on by default, remove a kind from the binary altogether; an image that needs
 //! what was left out is refused by its header.
 //!
+//! Embedders also find [any hits](SceneView::any), [packets of 16 rays](SceneView::nearest16) under a mask,
+//! [filters](SceneView::nearest_filtered) that pass hits through, and [other triangle tests](triangle_test).
+//!
 //! # Same bits everywhere
 //! Whatever decides a result uses only `+ - * /` and `sqrt` in one stated order, without fused multiply-add,
 //! so every machine computes the same bits. Only culling uses vector types; it is conservative, and its
@@ -54,7 +57,9 @@ pub mod brute;
 pub mod camera;
 pub mod cluster;
 mod count;
+pub mod filter;
 mod frame;
+mod geometry;
 pub mod grid;
 pub mod grid_ray;
 pub mod image;
@@ -62,6 +67,7 @@ mod kernel;
 pub mod kinds;
 mod memory;
 mod needs;
+mod packet;
 mod ray;
 pub mod scale;
 pub mod schedule;
@@ -70,6 +76,9 @@ mod simd;
 pub mod sphere;
 pub mod surface;
 mod tile;
+pub mod triangle_f64;
+pub mod triangle_moller;
+pub mod triangle_test;
 pub mod triangle_woop;
 mod view;
 pub mod walk;
@@ -77,10 +86,12 @@ pub mod walk;
 pub use camera::{Camera, Orbit};
 pub use count::{Count, TileCounts, WorkCounts};
 pub use frame::{Frame, FrameError};
+pub use geometry::GeometryId;
 pub use image::{Bounds, Header, HeaderError};
 pub use kernel::Kernel;
 pub use memory::{Flat, SceneMemory};
 pub use needs::SceneNeeds;
+pub use packet::{Hits16, Packet16};
 pub use ray::{Hit, Primitive, Ray};
 pub use simd::{Lanes, LanesError};
 pub use tile::{TILE_SIZE, Tile, TileId, Tiles, render_tile};

@@ -21,6 +21,10 @@ pub trait SceneMemory {
 
     /// Length of the image in bytes.
     fn length(&self) -> u64;
+
+    /// Says that a record will be read soon. Changes nothing, and does not wait.
+    #[inline]
+    fn prefetch(&self, _offset: u64, _length: usize) {}
 }
 
 /// An image that lies in one slice: mapped whole, or paged by hardware below the tracer.
@@ -50,6 +54,13 @@ impl SceneMemory for Flat<'_> {
 
     fn length(&self) -> u64 {
         self.0.len() as u64
+    }
+
+    #[inline]
+    fn prefetch(&self, offset: u64, length: usize) {
+        if let Some(record) = self.record(offset, length) {
+            crate::simd::prefetch(record);
+        }
     }
 }
 

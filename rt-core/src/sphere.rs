@@ -31,9 +31,11 @@ use glam::Vec3;
 use crate::cluster::Nearest;
 use crate::cluster::quads;
 use crate::count::Count;
+use crate::filter::Filter;
 use crate::grid::{SPHERES_MAX, SpheresRef};
 use crate::ray::Primitive;
 use crate::shade::{difference, unit};
+use crate::surface::Surface;
 use crate::triangle_woop::Crossing;
 
 /// A sphere: the points at `radius` from `centre`.
@@ -140,10 +142,16 @@ impl<'a> SphereCluster<'a> {
         Sphere { centre: Vec3::new(x, y, z), radius }
     }
 
-    /// Offers every sphere that the ray hits to `nearest`; with `ANY`, stops at the first.
+    /// Offers every sphere that the ray hits and `filter` accepts to `nearest`; with `ANY`, stops at the first.
     ///
     /// The plain way to the same result is [`SphereRay::intersect`] for each sphere.
-    pub fn intersect<const ANY: bool>(&self, ray: &SphereRay, nearest: &mut Nearest, count: &mut impl Count) {
+    pub fn intersect_filtered<const ANY: bool>(
+        &self,
+        ray: &SphereRay,
+        nearest: &mut Nearest,
+        filter: &mut impl Filter,
+        count: &mut impl Count,
+    ) {
         count.cluster();
         count.spheres(u32::from(self.place.count));
         let mut candidates = self.candidates(ray, nearest.crossing.t);
@@ -152,7 +160,11 @@ impl<'a> SphereCluster<'a> {
             candidates &= candidates - 1;
             let sphere = self.sphere(index);
             if let Some(crossing) = ray.intersect(&sphere, nearest.crossing.t) {
-                nearest.offer(crossing, self.primitive(index), sphere);
+                let (primitive, surface) = (self.primitive(index), Surface::Sphere(sphere));
+                if !filter.accepts(&crossing, primitive, &surface) {
+                    continue;
+                }
+                nearest.offer(crossing, primitive, surface);
                 if ANY {
                     return;
                 }

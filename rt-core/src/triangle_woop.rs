@@ -52,9 +52,6 @@ pub struct Crossing {
 }
 
 impl WoopRay {
-    /// Stands for a ray where no triangle is tested.
-    pub const NONE: Self = Self { axes: [0, 1, 2], origin: [0.0; 3], shear: [0.0; 3] };
-
     /// Prepares a ray. Origin and direction are finite and the direction is not zero.
     #[inline]
     pub fn new(origin: Vec3, direction: Vec3) -> Self {
@@ -131,7 +128,7 @@ fn decide(a: Sheared, b: Sheared, c: Sheared, t_max: f32) -> Option<Crossing> {
 
 /// Whether the weights lie strictly on both sides of `zero`.
 #[inline]
-fn opposite<F: PartialOrd>([u, v, w]: [F; 3], zero: F) -> bool {
+pub(crate) fn opposite<F: PartialOrd>([u, v, w]: [F; 3], zero: F) -> bool {
     (u < zero || v < zero || w < zero) && (u > zero || v > zero || w > zero)
 }
 

@@ -1,15 +1,19 @@
 //! A scene image that kernels may read: bytes with a checked header.
 
 use core::fmt;
+use core::marker::PhantomData;
 
 use crate::count::Count;
+use crate::filter::Filter;
 use crate::grid::{BRANCH_BYTES, Branch, ClusterRef, LEAF_BYTES, Leaf, SpheresRef};
 use crate::grid_ray::GridRay;
 use crate::image::{HEADER_BYTES, Header, HeaderError};
 use crate::kinds::{ForKinds, Kinds, dispatch};
 use crate::memory::SceneMemory;
 use crate::ray::{Hit, Primitive, Ray};
-use crate::walk::walk;
+use crate::triangle_test::TriangleTest;
+use crate::triangle_woop::WoopRay;
+use crate::walk::walk_with;
 
 /// A scene image with a checked header: what kernels trace.
 ///
@@ -63,7 +67,7 @@ impl<M: SceneMemory> SceneView<M> {
     #[inline]
     pub fn nearest<C: Count>(&self, ray: &Ray, count: &mut C) -> Result<Option<Hit>, Damaged> {
         let Some(ray) = GridRay::from_world(ray, &self.header) else { return Ok(None) };
-        dispatch(self.header.needs, NearestHit { scene: self, ray: &ray, count })
+        self.nearest_with::<WoopRay, _, _>(&ray, &mut (), count)
     }
 
     /// Whether a ray hits anything.
@@ -73,7 +77,35 @@ impl<M: SceneMemory> SceneView<M> {
     #[inline]
     pub fn any<C: Count>(&self, ray: &Ray, count: &mut C) -> Result<bool, Damaged> {
         let Some(ray) = GridRay::from_world(ray, &self.header) else { return Ok(false) };
-        dispatch(self.header.needs, AnyHit { scene: self, ray: &ray, count })
+        self.any_with::<WoopRay, _, _>(&ray, &mut (), count)
+    }
+
+    /// The nearest hit with a choice of triangle test and filter.
+    #[inline]
+    pub(crate) fn nearest_with<T: TriangleTest, F: Filter, C: Count>(
+        &self,
+        ray: &GridRay,
+        filter: &mut F,
+        count: &mut C,
+    ) -> Result<Option<Hit>, Damaged> {
+        dispatch(
+            self.header.needs,
+            Trace::<_, T, _, _, false> { scene: self, ray, filter, count, test: PhantomData },
+        )
+    }
+
+    /// Whether there is any hit, with a choice of triangle test and filter.
+    #[inline]
+    pub(crate) fn any_with<T: TriangleTest, F: Filter, C: Count>(
+        &self,
+        ray: &GridRay,
+        filter: &mut F,
+        count: &mut C,
+    ) -> Result<bool, Damaged> {
+        dispatch(
+            self.header.needs,
+            Trace::<_, T, _, _, true> { scene: self, ray, filter, count, test: PhantomData },
+        )
     }
 
     /// Number that a triangle or sphere had in the model, or `None` when there is no such primitive. Reads the
@@ -158,33 +190,41 @@ impl<M: SceneMemory> SceneView<M> {
     }
 }
 
-struct NearestHit<'a, M, C> {
+/// A ray and how to trace it: for its nearest hit, or with `ANY` for whether there is one.
+struct Trace<'a, M, T, F, C, const ANY: bool> {
     scene: &'a SceneView<M>,
     ray: &'a GridRay,
+    filter: &'a mut F,
     count: &'a mut C,
+    test: PhantomData<T>,
 }
 
-impl<M: SceneMemory, C: Count> ForKinds for NearestHit<'_, M, C> {
+impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> ForKinds for Trace<'_, M, T, F, C, false> {
     type Output = Result<Option<Hit>, Damaged>;
 
     #[inline]
     fn run<K: Kinds>(self) -> Self::Output {
-        Ok(self.ray.hit::<K>(&walk::<M, C, K, false>(self.scene, self.ray, self.count)?))
+        let Self { scene, ray, filter, count, .. } = self;
+        Ok(ray.hit::<K>(&walk_with::<M, T, F, C, K, false>(scene, ray, filter, count)?))
     }
 }
 
-struct AnyHit<'a, M, C> {
-    scene: &'a SceneView<M>,
-    ray: &'a GridRay,
-    count: &'a mut C,
-}
-
-impl<M: SceneMemory, C: Count> ForKinds for AnyHit<'_, M, C> {
+impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> ForKinds for Trace<'_, M, T, F, C, true> {
     type Output = Result<bool, Damaged>;
 
     #[inline]
     fn run<K: Kinds>(self) -> Self::Output {
-        Ok(walk::<M, C, K, true>(self.scene, self.ray, self.count)?.surface.is_some())
+        let Self { scene, ray, filter, count, .. } = self;
+        Ok(walk_with::<M, T, F, C, K, true>(scene, ray, filter, count)?.surface.is_some())
+    }
+}
+
+impl<M: SceneMemory> SceneView<M> {
+    /// Tells the memory that a cluster will be read soon.
+    #[inline]
+    pub(crate) fn prefetch_cluster(&self, place: &ClusterRef) {
+        let length = crate::cluster::cluster_bytes(place.vertices, place.triangles);
+        self.memory.prefetch(self.header.segments.clusters.offset.saturating_add(place.offset), length);
     }
 }
 

@@ -37,6 +37,7 @@ use glam::Vec3;
 
 use crate::cluster::{Cluster, Nearest};
 use crate::count::Count;
+use crate::filter::Filter;
 use crate::grid::{
     BoxFrame, Branch, ClusterRef, LEVELS_MAX, LeafContent, SpheresRef, cell_coordinates, flip_cells,
 };
@@ -45,6 +46,7 @@ use crate::image::Header;
 use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
 use crate::sphere::SphereCluster;
+use crate::triangle_test::TriangleTest;
 use crate::triangle_woop::WoopRay;
 use crate::view::{Damaged, SceneView};
 
@@ -62,23 +64,33 @@ pub fn walk<M: SceneMemory, C: Count, K: Kinds, const ANY: bool>(
     ray: &GridRay,
     count: &mut C,
 ) -> Result<Nearest, Damaged> {
-    let mut walk = Walk {
-        scene,
-        ray,
-        woop: if K::TRIANGLES { ray.woop() } else { WoopRay::NONE },
-        count,
-        nearest: Nearest::none(ray.t_max()),
-        budget: Budget::of(scene.header()),
-    };
+    walk_with::<M, WoopRay, (), C, K, ANY>(scene, ray, &mut (), count)
+}
+
+/// As [`walk`], with any triangle test, and only hits that `filter` accepts.
+///
+/// # Errors
+/// As [`walk`].
+#[inline]
+pub fn walk_with<M: SceneMemory, T: TriangleTest, F: Filter, C: Count, K: Kinds, const ANY: bool>(
+    scene: &SceneView<M>,
+    ray: &GridRay,
+    filter: &mut F,
+    count: &mut C,
+) -> Result<Nearest, Damaged> {
+    let (nearest, budget) = (Nearest::none(ray.t_max()), Budget::of(scene.header()));
+    let mut walk = Walk { scene, ray, test: ray.test::<K::Test<T>>(), filter, count, nearest, budget };
     walk.run::<K, ANY>()?;
     Ok(walk.nearest)
 }
 
 /// A walk under way.
-struct Walk<'a, M, C> {
+struct Walk<'a, M, T, F, C> {
     scene: &'a SceneView<M>,
     ray: &'a GridRay,
-    woop: WoopRay,
+    /// The ray as the triangle test wants it.
+    test: T,
+    filter: &'a mut F,
     count: &'a mut C,
     nearest: Nearest,
     budget: Budget,
@@ -114,7 +126,7 @@ impl Visit {
     }
 }
 
-impl<M: SceneMemory, C: Count> Walk<'_, M, C> {
+impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, M, T, F, C> {
     fn run<K: Kinds, const ANY: bool>(&mut self) -> Result<(), Damaged> {
         let grid = self.scene.header().grid;
         let mut visit = self.enter(0, grid.origin, grid.size * 0.25)?;
@@ -224,7 +236,7 @@ impl<M: SceneMemory, C: Count> Walk<'_, M, C> {
     fn visit_cluster<const ANY: bool>(&mut self, place: &ClusterRef) -> Result<(), Damaged> {
         let record = self.scene.cluster(place)?;
         let cluster = Cluster::new(&record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
-        cluster.intersect::<ANY>(&self.woop, &mut self.nearest, self.count);
+        self.test.intersect_cluster::<ANY>(&cluster, &mut self.nearest, self.filter, self.count);
         Ok(())
     }
 
@@ -232,7 +244,8 @@ impl<M: SceneMemory, C: Count> Walk<'_, M, C> {
     fn visit_spheres<const ANY: bool>(&mut self, place: &SpheresRef) -> Result<(), Damaged> {
         let record = self.scene.spheres(place)?;
         let cluster = SphereCluster::new(&record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
-        cluster.intersect::<ANY>(&self.ray.sphere_ray(), &mut self.nearest, self.count);
+        let ray = self.ray.sphere_ray();
+        cluster.intersect_filtered::<ANY>(&ray, &mut self.nearest, self.filter, self.count);
         Ok(())
     }
 }

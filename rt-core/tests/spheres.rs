@@ -8,7 +8,8 @@ use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::scale::{Scale, exponent_of};
 use rt_core::sphere::{Sphere, SphereRay};
-use rt_core::{Flat, Ray, SceneNeeds, SceneView, WorkCounts};
+use rt_core::triangle_f64::F64Ray;
+use rt_core::{Flat, GeometryId, Hit, Packet16, Ray, SceneNeeds, SceneView, WorkCounts};
 use scene::{BuildOptions, Mesh, Model, build, builtin};
 
 /// The image of a model.
@@ -132,6 +133,40 @@ fn many_rays_through_a_sphereflake_agree() {
         }
         assert!(hits.iter().all(|&hits| hits > 200), "triangles and spheres hit: {hits:?}");
     }
+}
+
+#[test]
+fn filters_packets_and_triangle_tests_know_both_kinds() {
+    let model = builtin::sphereflake(2);
+    let alone = |model: Model| image(&model, 0.5, 4096);
+    let images =
+        [alone(model.clone()), alone(model.mesh.clone().into()), alone(model.spheres.clone().into())];
+    let [both, ground, flake] =
+        images.each_ref().map(|image| SceneView::new(Flat::new(image)).expect("a valid image"));
+    let t = |hit: Result<Option<Hit>, _>| hit.expect("sound").map(|hit| hit.t);
+    let mut dice = Dice(11);
+    let mut hits = [0, 0];
+    for _ in 0..2000 {
+        let sphere = model.spheres[dice.below(model.spheres.len())];
+        let ray = ray_at(&sphere, 4.0, &mut dice);
+        let hit = agree(&both, &ray);
+        let of = |wanted: GeometryId| move |hit: &Hit| both.geometry_id(hit.primitive) == Some(wanted);
+        let only = |wanted| both.nearest_filtered(&ray, of(wanted), &mut ());
+        // The scales of the images differ by powers of two, which are exact.
+        assert_eq!(t(only(GeometryId::TRIANGLES)), t(ground.nearest(&ray, &mut ())));
+        assert_eq!(t(only(GeometryId::SPHERES)), t(flake.nearest(&ray, &mut ())));
+        let any_sphere = both.any_filtered(&ray, of(GeometryId::SPHERES), &mut ());
+        assert_eq!(any_sphere, flake.any(&ray, &mut ()));
+        let by_double = both.nearest_by::<F64Ray, _>(&ray, &mut ());
+        assert_eq!(both.any_by::<F64Ray, _>(&ray, &mut ()), Ok(by_double.expect("sound").is_some()));
+        assert_eq!(flake.nearest_by::<F64Ray, _>(&ray, &mut ()), flake.nearest(&ray, &mut ()));
+        let (packet, active) = Packet16::pack(&[ray; 3]);
+        assert_eq!(both.nearest16(&packet, active, &mut ()).expect("sound").hit(2), hit);
+        if let Some(hit) = hit {
+            hits[usize::from(of(GeometryId::SPHERES)(&hit))] += 1;
+        }
+    }
+    assert!(hits.iter().all(|&hits| hits > 100), "triangles and spheres hit: {hits:?}");
 }
 
 #[test]

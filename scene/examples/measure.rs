@@ -3,7 +3,7 @@
 //! ```text
 //! cargo run --release -p scene --example measure -- MESH.ply
 //!     [--radius 1.5,0.75] [--kernels avx512,avx2,portable,rays] [--elevation 0] [--frame 0] [--size 512] [--page 16384] [--slack 0.5]
-//!     [--reps 5] [--threads 1] [--out PICTURE.png]
+//!     [--reps 5] [--loop 5] [--threads 1] [--out PICTURE.png]
 //! ```
 //! Without a mesh, or with a number in its place, the built-in knot is used, of that many triangles; with a name
 //! like `sphereflake:3`, that scene. Rays are traced by one thread, `--threads` is for preparing. Times are best and median over the repetitions.
@@ -87,7 +87,7 @@ fn measure_rays(
     let (mut whole, mut primary) = (Vec::new(), Vec::new());
     let mut work = WorkCounts::default();
     let (counts, picture) = draw(scene, &frame, kernel, &mut work);
-    for _ in 0..options.reps {
+    for _ in 0..options.reps_of_rays {
         let started = Instant::now();
         draw(scene, &frame, kernel, &mut ());
         whole.push(started.elapsed().as_secs_f64());
@@ -176,6 +176,7 @@ struct Options {
     page_bytes: u32,
     slack: f32,
     reps: usize,
+    reps_of_rays: usize,
     threads: usize,
     out: Option<String>,
 }
@@ -192,6 +193,7 @@ impl Options {
             page_bytes: 16 << 10,
             slack: BuildOptions::default().slack,
             reps: 5,
+            reps_of_rays: 5,
             threads: 0,
             out: None,
         };
@@ -210,6 +212,7 @@ impl Options {
                 "--size" => options.size = value()?.parse()?,
                 "--page" => options.page_bytes = value()?.parse()?,
                 "--slack" => options.slack = value()?.parse()?,
+                "--loop" => options.reps_of_rays = value()?.parse::<usize>()?.max(1),
                 "--reps" => options.reps = value()?.parse::<usize>()?.max(1),
                 "--threads" => options.threads = value()?.parse()?,
                 "--out" => options.out = Some(value()?),

@@ -4,7 +4,8 @@
 //! Projection is rounded, so each edge function is uncertain by `margin`. Lanes whose functions are all beyond it are
 //! *sure*; those that could be covered are *candidates*. A candidate that is not sure is decided by its ray.
 
-use super::projection::{DEPTH_EPSILON, Projected};
+use super::projection::Projected;
+use super::walk::Triangles;
 use crate::simd::{Mask, Simd, each};
 
 /// What is the same for all points that a triangle is tested at.
@@ -69,11 +70,12 @@ impl<F: Copy> Extent<F> {
 #[inline(always)]
 pub(super) fn cover<S: Simd>(
     s: S,
-    corners: &[Projected<S::F>; 3],
+    triangles: &Triangles<'_, S>,
     (x, y): (S::F, S::F),
     margins: &Margins<S::F>,
     lanes: Mask,
 ) -> Option<Covered<S::F>> {
+    let corners = &triangles.corners;
     let [ax, bx, cx] = each!(3: *corners, corner => s.sub(corner.x, x));
     let [ay, by, cy] = each!(3: *corners, corner => s.sub(corner.y, y));
     let weights = [edge(s, [bx, by], [cx, cy]), edge(s, [cx, cy], [ax, ay]), edge(s, [ax, ay], [bx, by])];
@@ -86,7 +88,8 @@ pub(super) fn cover<S: Simd>(
     let sure = (s.lt(margins.edge, least) | s.lt(greatest, below)) & lanes;
     let per_sum = s.div(s.splat(1.0), s.add(s.add(weights[0], weights[1]), weights[2]));
     let inverse_depth = s.mul(s.dot(weights, each!(3: *corners, corner => corner.w)), per_sum);
-    let margin = s.add(s.abs(s.mul(margins.depth, per_sum)), s.mul(inverse_depth, s.splat(DEPTH_EPSILON)));
+    let margin =
+        s.add(s.abs(s.mul(margins.depth, per_sum)), s.mul(inverse_depth, s.splat(triangles.depth_epsilon)));
     Some(Covered { candidates, sure, low: s.sub(inverse_depth, margin), high: s.add(inverse_depth, margin) })
 }
 

@@ -4,7 +4,7 @@
 
 use glam::Vec3;
 
-use super::projection::{DEPTH_EPSILON, Projection};
+use super::projection::Projection;
 use crate::grid::{BoxFrame, Branch, FLIP_AXIS, GridShape, cell_coordinates};
 use crate::simd::{LANES, Mask, Simd, each};
 
@@ -47,7 +47,28 @@ pub(super) struct Depths {
     pub(super) farthest: f32,
 }
 
+/// Where a box may show.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seen {
+    /// Blocks that it may reach into, one bit each.
+    pub(super) blocks: Mask,
+    /// Depth at which it begins.
+    pub(super) nearest: f32,
+}
+
 impl Depths {
+    /// The blocks to which something as near as this may matter.
+    #[inline(always)]
+    pub(super) fn waiting<S: Simd>(&self, s: S, nearest: f32) -> Mask {
+        let blocks = s.load(&self.blocks);
+        let waiting = s.lt(blocks, s.splat(f32::INFINITY));
+        if nearest <= 0.0 {
+            waiting
+        } else {
+            s.lt(s.mul(blocks, s.splat(nearest)), s.splat(1.0 + CULLING_EPSILON)) & waiting
+        }
+    }
+
     pub(super) fn new(blocks: [f32; LANES]) -> Self {
         let mut depths = Self { blocks, least: 0.0, farthest: 0.0 };
         depths.refresh();
@@ -58,7 +79,7 @@ impl Depths {
     pub(super) fn refresh(&mut self) {
         self.least =
             self.blocks.iter().fold(f32::INFINITY, |least, &block| if block < least { block } else { least });
-        self.farthest = if self.least == f32::INFINITY { -1.0 } else { (1.0 + DEPTH_EPSILON) / self.least };
+        self.farthest = if self.least == f32::INFINITY { -1.0 } else { (1.0 + CULLING_EPSILON) / self.least };
     }
 }
 
@@ -156,16 +177,9 @@ impl Frustum {
         self.depth.dot(nearest - self.eye) > farthest
     }
 
-    /// The blocks in which a leaf's box may show, one bit each.
+    /// Where a leaf's box may show.
     #[inline(always)]
-    pub(super) fn blocks_entered<S: Simd>(
-        &self,
-        s: S,
-        corner: Vec3,
-        frame: &BoxFrame,
-        bounds: [u8; 6],
-        depths: &Depths,
-    ) -> Mask {
+    pub(super) fn box_entered<S: Simd>(&self, s: S, corner: Vec3, frame: &BoxFrame, bounds: [u8; 6]) -> Seen {
         let (low, high) = frame.decode(bounds);
         let half = (high - low) * 0.5;
         let centre = corner + (low + half) - self.eye;
@@ -180,15 +194,12 @@ impl Frustum {
         let rows = inside >> 8 & inside >> 12 & 0xf;
         let rows = rows & 1 | (rows & 2) << 3 | (rows & 4) << 6 | (rows & 8) << 9;
         let nearest = self.depth.dot(centre) - self.depth.abs().dot(half);
-        let in_front = if nearest <= 0.0 {
-            Mask::MAX
-        } else {
-            s.lt(s.mul(s.load(&depths.blocks), s.splat(nearest)), s.splat(1.0 + DEPTH_EPSILON))
-        };
-        let waiting = s.lt(s.load(&depths.blocks), s.splat(f32::INFINITY));
-        (rows * columns) as Mask & in_front & waiting
+        Seen { blocks: (rows * columns) as Mask, nearest }
     }
 }
+
+/// More than the relative error of any depth.
+const CULLING_EPSILON: f32 = 1.0 / 65_536.0;
 
 /// Farthest eye, in sizes of the grid.
 const REACH_MAX: f32 = 4096.0;

@@ -114,7 +114,7 @@ fn see<'a, S: Simd, M: SceneMemory, C: Count>(
 ) -> Option<Result<Pixels<'a>, Damaged>> {
     let camera = &view.frame.camera;
     let projection = Projection::of_tile(camera, view.eye, tile)?;
-    let mut pixels = Pixels::new(camera, view.eye, tile);
+    let mut pixels = Pixels::new(camera, view.eye, tile, projection.depth_epsilon);
     let [columns, rows] = pixels.borders();
     let frustum = Frustum::new(s, &projection, &columns, &rows, &view.scene.header().grid)?;
     let beam = Beam { projection: &projection, frustum: &frustum };

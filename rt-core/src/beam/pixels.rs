@@ -4,8 +4,8 @@ use glam::Vec3;
 
 use super::edges::{Extent, Margins, cover};
 use super::frustum::{Borders, Depths};
-use super::projection::{DEPTH_EPSILON, Projected};
-use super::walk::{Targets, Triangles};
+use super::projection::Projected;
+use super::walk::{Bounds, Targets, Triangles};
 use super::winners::{Winner, Winners};
 use crate::camera::Camera;
 use crate::cluster::{Cluster, Nearest};
@@ -34,23 +34,30 @@ pub(super) struct Pixels<'a> {
     depths: Depths,
     /// Full blocks whose depth is out of date.
     stale: Mask,
+    /// Relative uncertainty of inverse depths.
+    depth_epsilon: f32,
 }
 
 /// Sixteen triangles under test.
 struct Batch<'a, 'b, S: Simd> {
     triangles: &'a Triangles<'b, S>,
-    extent: Extent<S::F>,
-    /// First and last column and row of pixels that each triangle may cover.
-    columns: [[i32; LANES]; 2],
-    rows: [[i32; LANES]; 2],
-    /// The same: left, right, top, bottom.
-    pixels: [S::F; 4],
+    margins: Margins<S::F>,
+    /// Greatest inverse depths, and a little more.
+    near: S::F,
     /// Places among the winners, once they have won anything, and how often places had moved then.
     places: [Option<(u32, u32)>; LANES],
 }
 
+/// First and last column and row of pixels that each triangle may cover.
+struct Reach<S: Simd> {
+    left: S::I,
+    right: S::I,
+    top: S::I,
+    bottom: S::I,
+}
+
 impl<'a> Pixels<'a> {
-    pub(super) fn new(camera: &'a Camera, eye: Vec3, tile: Tile) -> Self {
+    pub(super) fn new(camera: &'a Camera, eye: Vec3, tile: Tile, depth_epsilon: f32) -> Self {
         let present: [Mask; LANES] = core::array::from_fn(|block| {
             let (x, y) = (block as u32 % 4 * 4, block as u32 / 4 * 4);
             (0..16).fold(0, |mask, lane| {
@@ -71,6 +78,7 @@ impl<'a> Pixels<'a> {
             winners: Winners::new(),
             depths: Depths::new(blocks),
             stale: 0,
+            depth_epsilon,
         }
     }
 
@@ -97,18 +105,22 @@ impl<'a> Pixels<'a> {
         WoopRay::new(self.eye, self.camera.direction(self.camera.row(y), x))
     }
 
-    /// Lets the pixel's ray decide whether it hits a triangle, and which of two is nearer.
-    #[inline(never)]
-    fn decide(&mut self, (block, lane): (usize, usize), winner: &Winner) {
+    /// Lets the pixel's ray decide whether it hits a triangle of a cluster, and which of two is nearer.
+    #[inline(always)]
+    fn decide(&mut self, (block, lane): (usize, usize), cluster: &Cluster<'_>, index: usize) {
         let held = self.hit[block] >> lane & 1 != 0;
-        if held && self.winner(block, lane).corners == winner.corners {
-            // Another copy of the triangle that the pixel shows.
-            return;
+        // Often it is another copy of the triangle that the pixel shows.
+        if !held || !cluster.is_triangle(index, &self.winner(block, lane).corners) {
+            self.decide_by_ray((block, lane), &Winner::of(cluster, index));
         }
+    }
+
+    #[inline(never)]
+    fn decide_by_ray(&mut self, (block, lane): (usize, usize), winner: &Winner) {
         let ray = self.ray(block, lane);
         let Some(crossing) = ray.intersect(winner.corners, f32::INFINITY) else { return };
-        if held {
-            let before = *self.winner(block, lane);
+        if self.hit[block] >> lane & 1 != 0 {
+            let before = self.winner(block, lane);
             let mut nearest = Nearest::none(f32::INFINITY);
             if let Some(crossing) = ray.intersect(before.corners, f32::INFINITY) {
                 nearest.offer(crossing, before.primitive, before.corners);
@@ -123,7 +135,7 @@ impl<'a> Pixels<'a> {
         }
         let place = self.place_of(winner);
         let inverse_depth = 1.0 / crossing.t;
-        let margin = inverse_depth * DEPTH_EPSILON;
+        let margin = inverse_depth * self.depth_epsilon;
         self.take((block, lane), place, inverse_depth - margin, inverse_depth + margin);
     }
 
@@ -161,9 +173,9 @@ impl<'a> Pixels<'a> {
 
     /// Tests triangles that reach over at most 2x2 pixels: one pixel of each at a time.
     #[inline(always)]
-    fn test_small<S: Simd>(&mut self, s: S, batch: &mut Batch<'_, '_, S>, small: Mask) {
-        let margins = batch.extent.margins(s, batch.triangles.delta);
-        let [left, right, top, bottom] = batch.pixels;
+    fn test_small<S: Simd>(&mut self, s: S, batch: &mut Batch<'_, '_, S>, reach: &Reach<S>, small: Mask) {
+        let [left, right, top, bottom] =
+            each!(4: [reach.left, reach.right, reach.top, reach.bottom], end => s.to_float(end));
         let (wide, high) = (s.lt(left, right) & small, s.lt(top, bottom) & small);
         for (x, y, lanes) in
             [(left, top, small), (right, top, wide), (left, bottom, high), (right, bottom, wide & high)]
@@ -171,15 +183,15 @@ impl<'a> Pixels<'a> {
             if lanes == 0 {
                 continue;
             }
-            let Some(covered) = cover(s, &batch.triangles.corners, (x, y), &margins, lanes) else { continue };
+            let Some(covered) = cover(s, batch.triangles, (x, y), &batch.margins, lanes) else { continue };
             let (low, high) = (s.array(covered.low), s.array(covered.high));
-            let (columns, rows) = (s.int_array(s.to_int(x)), s.int_array(s.to_int(y)));
+            let pixel = s.int_array(s.to_int(s.add(s.mul(y, s.splat(16.0)), x)));
             let mut candidates = covered.candidates;
             while candidates != 0 {
                 let at = candidates.trailing_zeros() as usize;
                 candidates &= candidates - 1;
-                let (x, y) = (columns[at] as usize & 15, rows[at] as usize & 15);
-                let (block, lane) = (y / 4 * 4 + x / 4, y % 4 * 4 + x % 4);
+                let pixel = pixel[at] as usize;
+                let (block, lane) = (pixel >> 4 & 12 | pixel >> 2 & 3, pixel >> 2 & 12 | pixel & 3);
                 if high[at] < self.low[block][lane] {
                     continue;
                 }
@@ -187,52 +199,74 @@ impl<'a> Pixels<'a> {
                     let place = self.place_in_batch(batch, at);
                     self.take((block, lane), place, low[at], high[at]);
                 } else {
-                    self.decide((block, lane), &batch.winner(at));
+                    self.decide((block, lane), batch.triangles.cluster, batch.triangles.first + at);
                 }
             }
         }
     }
 
-    /// Tests one triangle against the blocks it reaches over.
+    /// Tests triangles that reach over more, one at a time, against the blocks they reach over.
     #[inline(always)]
-    fn test_large<S: Simd>(&mut self, s: S, batch: &mut Batch<'_, '_, S>, at: usize, large: &Large) {
+    fn test_large<S: Simd>(&mut self, s: S, batch: &mut Batch<'_, '_, S>, reach: &Reach<S>, mut large: Mask) {
+        let of = batch.triangles;
         let corners =
-            each!(3: large.corners, [x, y, w] => Projected { x: s.splat(x), y: s.splat(y), w: s.splat(w) });
-        let margins = Margins { edge: s.splat(large.edge), depth: s.splat(large.depth) };
-        let (columns, rows) = (batch.columns.map(|ends| ends[at]), batch.rows.map(|ends| ends[at]));
-        for row in rows[0] / 4..=rows[1] / 4 {
-            for column in columns[0] / 4..=columns[1] / 4 {
-                let block = (row * 4 + column) as usize & 15;
-                if self.depths.blocks[block] > large.near {
-                    continue;
-                }
-                let lanes = (in_range(columns, column * 4) * 0x1111) & spread(in_range(rows, row * 4));
-                let x = s.add(s.load(&COLUMNS), s.splat((column * 4) as f32));
-                let y = s.add(s.load(&ROWS), s.splat((row * 4) as f32));
-                let Some(covered) = cover(s, &corners, (x, y), &margins, lanes & self.present[block]) else {
-                    continue;
-                };
-                let behind = s.lt(covered.high, s.load(&self.low[block]));
-                let before = s.lt(s.load(&self.high[block]), covered.low);
-                let candidates = covered.candidates & !behind;
-                let wins = candidates & covered.sure & before;
-                if wins != 0 {
-                    let place = self.place_in_batch(batch, at);
-                    s.store(s.select(wins, covered.low, s.load(&self.low[block])), &mut self.low[block]);
-                    s.store(s.select(wins, covered.high, s.load(&self.high[block])), &mut self.high[block]);
-                    let mut lanes = wins;
-                    while lanes != 0 {
-                        self.place[block][lanes.trailing_zeros() as usize & 15] = place;
-                        lanes &= lanes - 1;
+            each!(3: of.corners, corner => [s.array(corner.x), s.array(corner.y), s.array(corner.w)]);
+        let (edge, depth, near) =
+            (s.array(batch.margins.edge), s.array(batch.margins.depth), s.array(batch.near));
+        let [left, right, top, bottom] =
+            each!(4: [reach.left, reach.right, reach.top, reach.bottom], end => s.int_array(end));
+        while large != 0 {
+            let at = large.trailing_zeros() as usize;
+            large &= large - 1;
+            let corners = each!(3: corners, [x, y, w] => Projected {
+                x: s.splat(x[at]),
+                y: s.splat(y[at]),
+                w: s.splat(w[at]),
+            });
+            let one = Triangles { corners, ..*of };
+            let margins = Margins { edge: s.splat(edge[at]), depth: s.splat(depth[at]) };
+            for row in top[at] / 4..=bottom[at] / 4 {
+                for column in left[at] / 4..=right[at] / 4 {
+                    let block = (row * 4 + column) as usize & 15;
+                    let lanes = (in_range(left[at], right[at], column * 4) * 0x1111)
+                        & spread(in_range(top[at], bottom[at], row * 4))
+                        & self.present[block];
+                    if self.depths.blocks[block] <= near[at] {
+                        self.test_block(s, batch, (&one, at), &margins, (block, lanes));
                     }
-                    self.mark(block, wins);
-                }
-                let mut open = candidates & !wins;
-                while open != 0 {
-                    self.decide((block, open.trailing_zeros() as usize), &batch.winner(at));
-                    open &= open - 1;
                 }
             }
+        }
+    }
+
+    /// Tests one triangle of a batch, in all lanes, against pixels of a block.
+    #[inline(always)]
+    fn test_block<S: Simd>(
+        &mut self,
+        s: S,
+        batch: &mut Batch<'_, '_, S>,
+        (one, at): (&Triangles<'_, S>, usize),
+        margins: &Margins<S::F>,
+        (block, lanes): (usize, Mask),
+    ) {
+        let x = s.add(s.load(&COLUMNS), s.splat((block % 4 * 4) as f32));
+        let y = s.add(s.load(&ROWS), s.splat((block / 4 * 4) as f32));
+        let Some(covered) = cover(s, one, (x, y), margins, lanes) else { return };
+        let (low, high) = (s.load(&self.low[block]), s.load(&self.high[block]));
+        let candidates = covered.candidates & s.le(low, covered.high);
+        let wins = candidates & covered.sure & s.lt(high, covered.low);
+        if wins != 0 {
+            let place = self.place_in_batch(batch, at);
+            s.store(s.select(wins, covered.low, low), &mut self.low[block]);
+            s.store(s.select(wins, covered.high, high), &mut self.high[block]);
+            let places = bytemuck::cast_mut::<_, [f32; LANES]>(&mut self.place[block]);
+            s.store(s.select(wins, s.splat(f32::from_bits(place)), s.load(places)), places);
+            self.mark(block, wins);
+        }
+        let mut open = candidates & !wins;
+        while open != 0 {
+            self.decide((block, open.trailing_zeros() as usize), one.cluster, one.first + at);
+            open &= open - 1;
         }
     }
 
@@ -244,27 +278,9 @@ impl<'a> Pixels<'a> {
         {
             return place;
         }
-        let place = self.place_of(&batch.winner(at));
+        let place = self.place_of(&Winner::of(batch.triangles.cluster, batch.triangles.first + at));
         batch.places[at] = Some((place, self.winners.moves));
         place
-    }
-}
-
-/// A triangle that reaches over more than 2x2 pixels.
-struct Large {
-    corners: [[f32; 3]; 3],
-    edge: f32,
-    depth: f32,
-    /// Its greatest inverse depth, and a little more.
-    near: f32,
-}
-
-impl<S: Simd> Batch<'_, '_, S> {
-    #[inline(always)]
-    fn winner(&self, at: usize) -> Winner {
-        let index = self.triangles.first + at;
-        let cluster = self.triangles.cluster;
-        Winner { corners: cluster.triangle(index), primitive: cluster.primitive(index) }
     }
 }
 
@@ -284,67 +300,63 @@ impl<S: Simd> Targets<S> for Pixels<'_> {
         &self.depths
     }
 
+    /// The blocks that the cluster reaches over and may be nearest in.
+    #[inline(always)]
+    fn interest(&mut self, s: S, bounds: &Bounds) -> u64 {
+        let end = [self.tile.width, self.tile.height].map(|length| length as f32 - 1.0);
+        if bounds.right < 0.0 || bounds.bottom < 0.0 || bounds.left > end[0] || bounds.top > end[1] {
+            return 0;
+        }
+        let line = |place: f32, end: f32| place.max(0.0).min(end) as i32;
+        let columns = in_range(line(bounds.left, 15.0) / 4, line(bounds.right, 15.0) / 4, 0);
+        let rows = in_range(line(bounds.top, 15.0) / 4, line(bounds.bottom, 15.0) / 4, 0);
+        let waiting = s.le(s.load(&self.depths(s).blocks), s.splat(bounds.near));
+        u64::from(spread(rows) & (columns * 0x1111) & waiting)
+    }
+
     #[inline(always)]
     fn test(&mut self, s: S, triangles: &Triangles<'_, S>) {
         let extent = Extent::of(s, &triangles.corners);
         let delta = s.splat(triangles.delta);
-        let near = s.mul(extent.near, s.splat(1.0 + 2.0 * DEPTH_EPSILON));
+        let near = s.mul(extent.near, s.splat(1.0 + triangles.depth_epsilon));
         let (width, height) = (self.tile.width as f32 - 1.0, self.tile.height as f32 - 1.0);
         let zero = s.splat(0.0);
         let (left, right) =
             (s.max(s.sub(extent.left, delta), zero), s.min(s.add(extent.right, delta), s.splat(width)));
         let (top, bottom) =
             (s.max(s.sub(extent.top, delta), zero), s.min(s.add(extent.bottom, delta), s.splat(height)));
-        let lanes =
-            s.le(left, right) & s.le(top, bottom) & s.le(s.splat(self.depths.least), near) & triangles.lanes;
-        if lanes == 0 {
-            return;
-        }
         // Nearly the next whole number: a pixel too many does not matter, one too few would.
         let up = s.splat(0.999_99);
-        let columns = [s.to_int(s.add(left, up)), s.to_int(right)];
-        let rows = [s.to_int(s.add(top, up)), s.to_int(bottom)];
-        let wide = s.to_float(s.sub_int(columns[1], columns[0]));
-        let high = s.to_float(s.sub_int(rows[1], rows[0]));
-        let lanes = lanes & s.le(zero, wide) & s.le(zero, high);
+        let reach = Reach {
+            left: s.to_int(s.add(left, up)),
+            right: s.to_int(right),
+            top: s.to_int(s.add(top, up)),
+            bottom: s.to_int(bottom),
+        };
+        let wide = s.to_float(s.sub_int(reach.right, reach.left));
+        let high = s.to_float(s.sub_int(reach.bottom, reach.top));
+        let lanes = s.le(left, right)
+            & s.le(top, bottom)
+            & s.le(s.splat(self.depths.least), near)
+            & s.le(zero, wide)
+            & s.le(zero, high)
+            & triangles.lanes;
         if lanes == 0 {
             return;
         }
         let one = s.splat(1.0);
         let small = lanes & s.le(wide, one) & s.le(high, one);
-        let mut batch = Batch {
-            triangles,
-            extent,
-            columns: each!(2: columns, end => s.int_array(end)),
-            rows: each!(2: rows, end => s.int_array(end)),
-            pixels: each!(4: [columns[0], columns[1], rows[0], rows[1]], end => s.to_float(end)),
-            places: [None; LANES],
-        };
-        if small != 0 {
-            self.test_small(s, &mut batch, small);
-        }
-        let mut large = lanes & !small;
-        if large == 0 {
-            return;
-        }
-        let corners =
-            each!(3: triangles.corners, corner => [s.array(corner.x), s.array(corner.y), s.array(corner.w)]);
         let margins = extent.margins(s, triangles.delta);
-        let [edge, depth, near] = each!(3: [margins.edge, margins.depth, near], value => s.array(value));
-        while large != 0 {
-            let at = large.trailing_zeros() as usize;
-            large &= large - 1;
-            let of = Large {
-                corners: [0, 1, 2].map(|corner| [0, 1, 2].map(|axis: usize| corners[corner][axis][at])),
-                edge: edge[at],
-                depth: depth[at],
-                near: near[at],
-            };
-            self.test_large(s, &mut batch, at, &of);
+        let mut batch = Batch { triangles, margins, near, places: [None; LANES] };
+        if small != 0 {
+            self.test_small(s, &mut batch, &reach, small);
+        }
+        if lanes & !small != 0 {
+            self.test_large(s, &mut batch, &reach, lanes & !small);
         }
     }
 
-    fn test_by_rays(&mut self, cluster: &Cluster<'_>) {
+    fn test_by_rays(&mut self, _: S, cluster: &Cluster<'_>) {
         for block in 0..LANES {
             for lane in 0..LANES {
                 if self.present[block] >> lane & 1 == 0 {
@@ -353,7 +365,7 @@ impl<S: Simd> Targets<S> for Pixels<'_> {
                 let mut nearest = Nearest::none(f32::INFINITY);
                 cluster.intersect::<false>(&self.ray(block, lane), &mut nearest, &mut ());
                 if let Some((primitive, Surface::Triangle(corners))) = nearest.surface {
-                    self.decide((block, lane), &Winner { corners, primitive });
+                    self.decide_by_ray((block, lane), &Winner { corners, primitive });
                 }
             }
         }
@@ -362,7 +374,7 @@ impl<S: Simd> Targets<S> for Pixels<'_> {
 
 /// Four bits: which of the pixels `at..at + 4` lie in a range.
 #[inline(always)]
-const fn in_range([first, last]: [i32; 2], at: i32) -> Mask {
+const fn in_range(first: i32, last: i32, at: i32) -> Mask {
     let from = if first > at { first - at } else { 0 };
     let until = if last < at + 3 { last - at } else { 3 };
     (0xf << from & 0xf >> (3 - until)) as Mask

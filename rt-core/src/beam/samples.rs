@@ -4,8 +4,8 @@ use glam::Vec3;
 
 use super::edges::{Extent, Margins, cover};
 use super::frustum::{Borders, Depths};
-use super::projection::{DEPTH_EPSILON, Projected, Projection};
-use super::walk::{Targets, Triangles};
+use super::projection::{Projected, Projection};
+use super::walk::{Bounds, Targets, Triangles};
 use crate::cluster::{Cluster, Nearest};
 use crate::simd::{LANES, Mask, Simd, each};
 use crate::triangle_woop::WoopRay;
@@ -21,33 +21,36 @@ pub(super) struct Points {
     pub(super) count: usize,
 }
 
-/// The samples, in [`BINS`] rows of the projection plane, and among these by column.
+/// The samples, in the order of a space-filling curve through the projection plane, in *groups* of sixteen.
 pub(super) struct Samples<'a> {
     points: &'a Points,
     light: Vec3,
-    /// Places on the plane and inverse depths; infinite once a sample is shadowed, and beyond the end.
-    x: [f32; PADDED],
-    y: [f32; PADDED],
-    w: [f32; PADDED],
+    /// Places on the plane and inverse depths, by group; infinite once a sample is shadowed, and beyond the end.
+    x: [[f32; LANES]; GROUPS],
+    y: [[f32; LANES]; GROUPS],
+    w: [[f32; LANES]; GROUPS],
     /// Which point a sample is.
-    point: [u8; SAMPLES_MAX],
-    /// Where the samples of each row begin.
-    row: [u16; BINS + 1],
-    /// The columns of each row that hold open samples, a bit each.
-    columns: [u32; BINS],
-    /// The same as bits of `f32`, to be looked up.
-    table: [[f32; LANES]; 2],
+    point: [[u8; LANES]; GROUPS],
+    /// Samples of each group that are open.
+    open: [Mask; GROUPS],
+    /// The boxes of the groups, and the least inverse depth of an open sample.
+    left: [f32; GROUPS],
+    right: [f32; GROUPS],
+    top: [f32; GROUPS],
+    bottom: [f32; GROUPS],
+    far: [f32; GROUPS],
     pub(super) shadowed: [bool; SAMPLES_MAX],
     depths: Depths,
-    /// Samples shadowed since the depths were found.
+    /// Samples shadowed since the depths were found, and samples that are open.
     news: u32,
-    open: u32,
+    left_open: u32,
 }
 
-/// Rows, and columns, of the projection plane.
-const BINS: usize = 32;
+/// Groups of samples.
+const GROUPS: usize = SAMPLES_MAX / LANES;
 
-const PADDED: usize = SAMPLES_MAX + LANES;
+/// Rows and columns of the plane, along which samples are sorted.
+const LINES: usize = 8;
 
 impl Points {
     pub(super) const fn new() -> Self {
@@ -86,22 +89,25 @@ impl Points {
         let x = unit(depth.cross(aside))?;
         let y = depth.cross(x);
         let plain = Projection::new(light, [x, y, depth], 0.5, 1.0)?;
-        let (mut low, mut high, mut slant) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2], 0.0_f32);
+        let infinite = s.splat(f32::INFINITY);
+        let (mut low, mut high) = ([infinite; 2], [infinite; 2]);
         for first in (0..self.count).step_by(LANES) {
             let Projected { x, y, w } = plain.project(s, self.load(s, first));
             if s.lt(s.splat(0.0), w) != Mask::MAX {
                 return None;
             }
-            low = [low[0].min(s.least(x)), low[1].min(s.least(y))];
+            low = [s.min(low[0], x), s.min(low[1], y)];
             let [x, y] = each!(2: [x, y], value => s.sub(s.splat(0.0), value));
-            high = [high[0].max(-s.least(x)), high[1].max(-s.least(y))];
+            high = [s.min(high[0], x), s.min(high[1], y)];
         }
-        slant = slant.max(low[0].abs().max(high[0].abs()) + low[1].abs().max(high[1].abs()));
+        let low = each!(2: low, value => s.least(value));
+        let high = each!(2: high, value => -s.least(value));
+        let slant = low[0].abs().max(high[0].abs()) + low[1].abs().max(high[1].abs());
         if slant > 0.75 {
             return None;
         }
         // At least so large that places on the plane can be told apart.
-        let unit = [0, 1].map(|axis: usize| ((high[axis] - low[axis]) * (1.0 / 31.0)).max(UNIT_MIN));
+        let unit = [0, 1].map(|axis: usize| ((high[axis] - low[axis]) * (1.0 / 7.875)).max(UNIT_MIN));
         let rows = [(x - depth * low[0]) / unit[0], (y - depth * low[1]) / unit[1], depth];
         Projection::new(light, rows, unit[0].max(unit[1]), 1.0 + slant)
     }
@@ -110,248 +116,330 @@ impl Points {
 impl<'a> Samples<'a> {
     #[inline(always)]
     pub(super) fn new<S: Simd>(s: S, points: &'a Points, projection: &Projection) -> Self {
-        let mut place = [[0.0; PADDED]; 3];
+        let mut place = [[[f32::INFINITY; LANES]; GROUPS]; 3];
         for first in (0..points.count).step_by(LANES) {
             let Projected { x, y, w } = projection.project(s, points.load(s, first));
-            s.store(x, chunk_mut(&mut place[0], first));
-            s.store(y, chunk_mut(&mut place[1], first));
-            s.store(w, chunk_mut(&mut place[2], first));
+            s.store(x, &mut place[0][first / LANES]);
+            s.store(y, &mut place[1][first / LANES]);
+            s.store(w, &mut place[2][first / LANES]);
         }
         let mut samples = Self {
             points,
             light: projection.eye,
-            x: [0.0; PADDED],
-            y: [0.0; PADDED],
-            w: [f32::INFINITY; PADDED],
-            point: [0; SAMPLES_MAX],
-            row: [0; BINS + 1],
-            columns: [0; BINS],
-            table: [[0.0; LANES]; 2],
+            x: [[0.0; LANES]; GROUPS],
+            y: [[0.0; LANES]; GROUPS],
+            w: [[f32::INFINITY; LANES]; GROUPS],
+            point: [[0; LANES]; GROUPS],
+            open: [0; GROUPS],
+            left: [f32::INFINITY; GROUPS],
+            right: [f32::NEG_INFINITY; GROUPS],
+            top: [f32::INFINITY; GROUPS],
+            bottom: [f32::NEG_INFINITY; GROUPS],
+            far: [f32::INFINITY; GROUPS],
             shadowed: [false; SAMPLES_MAX],
             depths: Depths::new([f32::INFINITY; LANES]),
             news: 0,
-            open: points.count as u32,
+            left_open: points.count as u32,
         };
         samples.sort(&place);
+        samples.find_boxes(s);
         samples.find_depths();
         samples
     }
 
-    /// The borders of the blocks into which the plane is cut.
+    /// The borders of the blocks into which the plane is cut: two lines each.
     pub(super) fn borders() -> [Borders; 2] {
-        [Borders { first: [0.0, 8.0, 16.0, 24.0], last: [8.0, 16.0, 24.0, 32.0] }; 2]
+        [Borders { first: [0.0, 2.0, 4.0, 6.0], last: [2.0, 4.0, 6.0, 8.0] }; 2]
     }
 
-    /// Puts the samples into rows: a counting sort.
+    /// Puts the samples in order: a counting sort.
     #[inline(always)]
-    fn sort(&mut self, [x, y, w]: &[[f32; PADDED]; 3]) {
-        let mut count = [0_u16; BINS + 1];
-        for &y in &y[..self.points.count] {
-            count[bin(y) + 1] += 1;
-        }
-        for row in 0..BINS {
-            self.row[row + 1] = self.row[row] + count[row + 1];
-        }
-        let mut next = self.row;
+    fn sort(&mut self, place: &[[[f32; LANES]; GROUPS]; 3]) {
+        let [x, y, w] = place.each_ref().map(|values| values.as_flattened());
+        let (mut bins, mut next) = ([0_u8; SAMPLES_MAX], [0_u16; LINES * LINES]);
         for index in 0..self.points.count {
-            let row = bin(y[index]);
-            let to = usize::from(next[row]);
-            next[row] += 1;
-            (self.x[to], self.y[to], self.w[to]) = (x[index], y[index], w[index]);
-            self.point[to] = index as u8;
-            self.columns[row] |= 1 << bin(x[index]);
+            let bin = CURVE[line(x[index])] | CURVE[line(y[index])] << 1;
+            bins[index] = bin;
+            next[usize::from(bin)] += 1;
         }
-        self.refresh_table();
+        let mut sum = 0;
+        for next in &mut next {
+            (*next, sum) = (sum, sum + *next);
+        }
+        for index in 0..self.points.count {
+            let next = &mut next[usize::from(bins[index])];
+            let (group, lane) = (usize::from(*next) / LANES % GROUPS, usize::from(*next) % LANES);
+            *next += 1;
+            (self.x[group][lane], self.y[group][lane], self.w[group][lane]) = (x[index], y[index], w[index]);
+            self.point[group][lane] = index as u8;
+        }
     }
 
-    fn refresh_table(&mut self) {
-        for (entry, columns) in self.table.as_flattened_mut().iter_mut().zip(self.columns) {
-            *entry = f32::from_bits(columns);
+    /// Finds the boxes of the groups.
+    #[inline(always)]
+    fn find_boxes<S: Simd>(&mut self, s: S) {
+        let zero = s.splat(0.0);
+        for group in 0..self.points.count.div_ceil(LANES) {
+            let lanes = first_lanes(self.points.count - group * LANES);
+            let (x, y) = (s.load(&self.x[group]), s.load(&self.y[group]));
+            let [left, right, top, bottom] = each!(4: [x, s.sub(zero, x), y, s.sub(zero, y)], value => {
+                s.least(s.select(lanes, value, s.splat(f32::INFINITY)))
+            });
+            (self.left[group], self.right[group]) = (left, -right);
+            (self.top[group], self.bottom[group]) = (top, -bottom);
+            self.far[group] = s.least(s.load(&self.w[group]));
+            self.open[group] = lanes;
         }
     }
 
     /// Finds anew what blocks wait for.
+    #[inline(always)]
     fn find_depths(&mut self) {
         let mut blocks = [f32::INFINITY; LANES];
-        for index in 0..self.points.count {
-            let block = &mut blocks[bin(self.y[index]) / 8 * 4 + bin(self.x[index]) / 8];
-            if self.w[index] < *block {
-                *block = self.w[index];
+        for group in 0..GROUPS {
+            let mut open = self.open[group];
+            while open != 0 {
+                let lane = open.trailing_zeros() as usize;
+                open &= open - 1;
+                let block = line(self.y[group][lane]) / 2 * 4 + line(self.x[group][lane]) / 2;
+                let (w, block) = (self.w[group][lane], &mut blocks[block]);
+                *block = if w < *block { w } else { *block };
             }
         }
-        // A sample does not see what touches it.
-        self.depths = Depths::new(blocks.map(|block| block * (1.0 - DEPTH_EPSILON)));
+        self.depths = Depths::new(blocks);
         self.news = 0;
     }
 
-    /// Notes that a sample lies in shadow.
+    /// Notes that samples of a group lie in shadow.
     #[inline(always)]
-    fn close(&mut self, index: usize) {
-        if self.w[index] == f32::INFINITY {
-            return;
+    fn close<S: Simd>(&mut self, s: S, group: usize, samples: Mask) {
+        let mut closing = samples & self.open[group];
+        while closing != 0 {
+            let lane = closing.trailing_zeros() as usize;
+            closing &= closing - 1;
+            self.w[group][lane] = f32::INFINITY;
+            self.shadowed[usize::from(self.point[group][lane])] = true;
+            self.left_open -= 1;
+            self.news += 1;
         }
-        self.w[index] = f32::INFINITY;
-        self.shadowed[usize::from(self.point[index])] = true;
-        self.open -= 1;
-        self.news += 1;
-        let row = bin(self.y[index]);
-        let (first, end) = (usize::from(self.row[row]), usize::from(self.row[row + 1]));
-        let open = (first..end).filter(|&at| self.w[at] < f32::INFINITY);
-        self.columns[row] = open.fold(0, |columns, at| columns | 1 << bin(self.x[at]));
-        self.table[row / LANES][row % LANES] = f32::from_bits(self.columns[row]);
+        self.open[group] &= !samples;
+        self.far[group] = s.least(s.load(&self.w[group]));
     }
 
     /// The ray of a sample to the light.
     #[inline]
-    fn ray(&self, index: usize) -> WoopRay {
-        let point = self.points.get(usize::from(self.point[index]));
+    fn ray(&self, group: usize, lane: usize) -> WoopRay {
+        let point = self.points.get(usize::from(self.point[group][lane]));
         WoopRay::new(point, self.light - point)
     }
 
-    /// Lets the sample's ray decide whether a triangle shadows it.
+    /// Whether, by the sample's ray, a triangle shadows it.
     #[inline(never)]
-    fn decide(&mut self, index: usize, corners: [Vec3; 3]) {
-        if self.ray(index).intersect(corners, 1.0).is_some() {
-            self.close(index);
+    fn is_shadowed(&self, (group, lane): (usize, usize), corners: [Vec3; 3]) -> bool {
+        self.ray(group, lane).intersect(corners, 1.0).is_some()
+    }
+
+    /// Tests the triangles of some lanes against a sample: for many triangles that are small.
+    #[inline(always)]
+    fn test_sample<S: Simd>(&mut self, s: S, (group, lane): (usize, usize), batch: &Batch<'_, '_, S>) {
+        let place = (s.splat(self.x[group][lane]), s.splat(self.y[group][lane]));
+        let depth = s.splat(self.w[group][lane]);
+        let lanes = s.le(batch.left, place.0)
+            & s.le(place.0, batch.right)
+            & s.le(batch.top, place.1)
+            & s.le(place.1, batch.bottom)
+            & s.lt(depth, batch.near)
+            & batch.triangles.lanes;
+        if lanes == 0 {
+            return;
+        }
+        let Some(covered) = cover(s, batch.triangles, place, &batch.margins, lanes) else { return };
+        let mut undecided = covered.candidates & s.le(depth, covered.high);
+        if undecided & covered.sure & s.lt(depth, covered.low) != 0 {
+            self.close(s, group, 1 << lane);
+            return;
+        }
+        while undecided != 0 {
+            let at = undecided.trailing_zeros() as usize;
+            undecided &= undecided - 1;
+            if self.is_shadowed((group, lane), batch.triangles.corners_of(at)) {
+                self.close(s, group, 1 << lane);
+                return;
+            }
         }
     }
 
-    /// Tests one triangle against the samples of the rows that it reaches over.
+    /// Tests one triangle against the samples of a group: for triangles that are large.
     #[inline(always)]
-    fn test_one<S: Simd>(&mut self, s: S, triangles: &Triangles<'_, S>, one: &One) {
-        let corners =
-            each!(3: one.corners, [x, y, w] => Projected { x: s.splat(x), y: s.splat(y), w: s.splat(w) });
-        let margins = Margins { edge: s.splat(one.edge), depth: s.splat(one.depth) };
-        let [first, last] = one.rows.map(|row| row as usize % BINS);
-        let (start, end) = (usize::from(self.row[first]), usize::from(self.row[last + 1]));
-        for first in (start..end).step_by(LANES) {
-            let depth = s.load(chunk(&self.w, first));
-            let lanes = s.lt(depth, s.splat(one.near)) & first_lanes(end - first);
-            if lanes == 0 {
-                continue;
-            }
-            let place = (s.load(chunk(&self.x, first)), s.load(chunk(&self.y, first)));
-            let lanes = lanes
-                & s.le(s.splat(one.columns[0]), place.0)
-                & s.le(place.0, s.splat(one.columns[1]))
-                & s.le(s.splat(one.heights[0]), place.1)
-                & s.le(place.1, s.splat(one.heights[1]));
-            if lanes == 0 {
-                continue;
-            }
-            let Some(covered) = cover(s, &corners, place, &margins, lanes) else { continue };
-            let margin = s.mul(depth, s.splat(DEPTH_EPSILON));
-            let certain = covered.sure & s.lt(s.add(depth, margin), covered.low);
-            let behind = s.lt(covered.high, s.sub(depth, margin));
-            let mut open = covered.candidates & !behind;
-            while open != 0 {
-                let lane = open.trailing_zeros() as usize;
-                open &= open - 1;
-                if certain >> lane & 1 != 0 {
-                    self.close(first + lane);
-                } else {
-                    self.decide(first + lane, triangles.cluster.triangle(triangles.first + one.at));
-                }
-            }
+    fn test_group<S: Simd>(
+        &mut self,
+        s: S,
+        group: usize,
+        at: usize,
+        batch: &Batch<'_, '_, S>,
+        lanes: &Lanes,
+    ) {
+        let place = (s.load(&self.x[group]), s.load(&self.y[group]));
+        let depth = s.load(&self.w[group]);
+        let triangles = batch.triangles;
+        let corners = each!(3: lanes.corners, [x, y, w] => Projected {
+            x: s.splat(x[at]),
+            y: s.splat(y[at]),
+            w: s.splat(w[at]),
+        });
+        let margins = Margins { edge: s.splat(lanes.edge[at]), depth: s.splat(lanes.depth[at]) };
+        let one = Triangles { corners, ..*triangles };
+        let open = s.lt(depth, s.splat(lanes.near[at]))
+            & s.le(s.splat(lanes.left[at]), place.0)
+            & s.le(place.0, s.splat(lanes.right[at]))
+            & s.le(s.splat(lanes.top[at]), place.1)
+            & s.le(place.1, s.splat(lanes.bottom[at]));
+        if open == 0 {
+            return;
+        }
+        let Some(covered) = cover(s, &one, place, &margins, open) else { return };
+        let candidates = covered.candidates & s.le(depth, covered.high);
+        let mut closing = candidates & covered.sure & s.lt(depth, covered.low);
+        let mut undecided = candidates & !closing;
+        while undecided != 0 {
+            let lane = undecided.trailing_zeros() as usize;
+            undecided &= undecided - 1;
+            let is_shadowed = self.is_shadowed((group, lane), triangles.corners_of(at));
+            closing |= Mask::from(is_shadowed) << lane;
+        }
+        if closing != 0 {
+            self.close(s, group, closing);
         }
     }
 }
 
-/// One triangle against samples.
-struct One {
-    corners: [[f32; 3]; 3],
-    edge: f32,
-    depth: f32,
-    /// Its greatest inverse depth, and a little more.
-    near: f32,
-    /// Its box, and a little more.
-    columns: [f32; 2],
-    heights: [f32; 2],
-    /// First and last row of bins.
-    rows: [i32; 2],
-    /// Its lane.
-    at: usize,
+/// Sixteen triangles under test.
+struct Batch<'a, 'b, S: Simd> {
+    triangles: &'a Triangles<'b, S>,
+    margins: Margins<S::F>,
+    /// Their boxes, and greatest inverse depths, and a little more.
+    left: S::F,
+    right: S::F,
+    top: S::F,
+    bottom: S::F,
+    near: S::F,
+}
+
+/// A batch, lane by lane.
+struct Lanes {
+    corners: [[[f32; LANES]; 3]; 3],
+    edge: [f32; LANES],
+    depth: [f32; LANES],
+    near: [f32; LANES],
+    left: [f32; LANES],
+    right: [f32; LANES],
+    top: [f32; LANES],
+    bottom: [f32; LANES],
+}
+
+impl Lanes {
+    #[inline(always)]
+    fn of<S: Simd>(s: S, batch: &Batch<'_, '_, S>) -> Self {
+        let corners = batch.triangles.corners;
+        Self {
+            corners: each!(3: corners, corner => [s.array(corner.x), s.array(corner.y), s.array(corner.w)]),
+            edge: s.array(batch.margins.edge),
+            depth: s.array(batch.margins.depth),
+            near: s.array(batch.near),
+            left: s.array(batch.left),
+            right: s.array(batch.right),
+            top: s.array(batch.top),
+            bottom: s.array(batch.bottom),
+        }
+    }
 }
 
 impl<S: Simd> Targets<S> for Samples<'_> {
     #[inline(always)]
     fn depths(&mut self, _: S) -> &Depths {
-        if self.news > 8 + self.open / 4 || self.open == 0 && self.news > 0 {
+        if self.news > 8 + self.left_open / 4 || self.left_open == 0 && self.news > 0 {
             self.find_depths();
         }
         &self.depths
+    }
+
+    /// The groups that the cluster reaches over.
+    #[inline(always)]
+    fn interest(&mut self, s: S, bounds: &Bounds) -> u64 {
+        let groups = s.le(s.load(&self.left), s.splat(bounds.right))
+            & s.le(s.splat(bounds.left), s.load(&self.right))
+            & s.le(s.load(&self.top), s.splat(bounds.bottom))
+            & s.le(s.splat(bounds.top), s.load(&self.bottom))
+            & s.lt(s.load(&self.far), s.splat(bounds.near));
+        u64::from(groups)
     }
 
     #[inline(always)]
     fn test(&mut self, s: S, triangles: &Triangles<'_, S>) {
         let extent = Extent::of(s, &triangles.corners);
         let delta = s.splat(triangles.delta);
-        let near = s.mul(extent.near, s.splat(1.0 + 4.0 * DEPTH_EPSILON));
-        let (zero, end) = (s.splat(0.0), s.splat(BINS as f32 - 1.0));
-        let (left, right) = (s.sub(extent.left, delta), s.add(extent.right, delta));
-        let (top, bottom) = (s.sub(extent.top, delta), s.add(extent.bottom, delta));
-        let lanes = s.le(left, s.splat(BINS as f32))
-            & s.le(zero, right)
-            & s.le(top, s.splat(BINS as f32))
-            & s.le(zero, bottom)
-            & s.le(s.splat(self.depths.least), near)
-            & triangles.lanes;
-        if lanes == 0 {
-            return;
-        }
-        let columns = each!(2: [left, right], value => s.to_int(s.min(s.max(value, zero), end)));
-        let rows = each!(2: [top, bottom], value => s.to_int(s.min(s.max(value, zero), end)));
-        // The columns between the first and the last, as bits.
-        let span = s.sub_int(columns[1], columns[0]);
-        let bits = s.sub_int(s.shift_left(s.splat_int(2), span), s.splat_int(1));
-        let between = s.min(s.add(s.to_float(rows[0]), s.splat(1.0)), s.to_float(rows[1]));
-        let held = each!(3: [rows[0], s.to_int(between), rows[1]], row => s.bits(s.lookup(&self.table, row)));
-        let held = s.or(s.or(held[0], held[1]), held[2]);
-        let is_tall = s.lt(s.splat(2.0), s.to_float(s.sub_int(rows[1], rows[0])));
-        let mut lanes = lanes & (is_tall | s.meet(s.shift_right(held, columns[0]), bits));
-        if lanes == 0 {
-            return;
-        }
-        let corners =
-            each!(3: triangles.corners, corner => [s.array(corner.x), s.array(corner.y), s.array(corner.w)]);
-        let margins = extent.margins(s, triangles.delta);
-        let [edge, depth, near] = each!(3: [margins.edge, margins.depth, near], value => s.array(value));
-        let [left, right, top, bottom] = each!(4: [left, right, top, bottom], value => s.array(value));
-        let rows = each!(2: rows, row => s.int_array(row));
-        while lanes != 0 {
-            let at = lanes.trailing_zeros() as usize;
-            lanes &= lanes - 1;
-            let one = One {
-                corners: [0, 1, 2].map(|corner| [0, 1, 2].map(|axis: usize| corners[corner][axis][at])),
-                edge: edge[at],
-                depth: depth[at],
-                near: near[at],
-                columns: [left[at], right[at]],
-                heights: [top[at], bottom[at]],
-                rows: [rows[0][at], rows[1][at]],
-                at,
-            };
-            self.test_one(s, triangles, &one);
+        let batch = Batch {
+            triangles,
+            margins: extent.margins(s, triangles.delta),
+            left: s.sub(extent.left, delta),
+            right: s.add(extent.right, delta),
+            top: s.sub(extent.top, delta),
+            bottom: s.add(extent.bottom, delta),
+            near: s.mul(extent.near, s.splat(1.0 + triangles.depth_epsilon)),
+        };
+        let mut by_lane = None;
+        let mut groups = triangles.interest;
+        while groups != 0 {
+            let group = groups.trailing_zeros() as usize % GROUPS;
+            groups &= groups - 1;
+            let mut lanes = s.le(batch.left, s.splat(self.right[group]))
+                & s.le(s.splat(self.left[group]), batch.right)
+                & s.le(batch.top, s.splat(self.bottom[group]))
+                & s.le(s.splat(self.top[group]), batch.bottom)
+                & s.lt(s.splat(self.far[group]), batch.near)
+                & triangles.lanes;
+            if lanes.count_ones() > FEW {
+                let mut open = self.open[group];
+                while open != 0 {
+                    self.test_sample(s, (group, open.trailing_zeros() as usize), &batch);
+                    open &= open - 1;
+                }
+            } else if lanes != 0 {
+                let by_lane = by_lane.get_or_insert_with(|| Lanes::of(s, &batch));
+                while lanes != 0 {
+                    self.test_group(s, group, lanes.trailing_zeros() as usize, &batch, by_lane);
+                    lanes &= lanes - 1;
+                }
+            }
         }
     }
 
-    fn test_by_rays(&mut self, cluster: &Cluster<'_>) {
-        for index in 0..self.points.count {
-            if self.w[index] < f32::INFINITY {
+    fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>) {
+        for group in 0..GROUPS {
+            let mut open = self.open[group];
+            while open != 0 {
+                let lane = open.trailing_zeros() as usize;
+                open &= open - 1;
                 let mut nearest = Nearest::none(1.0);
-                cluster.intersect::<true>(&self.ray(index), &mut nearest, &mut ());
+                cluster.intersect::<true>(&self.ray(group, lane), &mut nearest, &mut ());
                 if nearest.surface.is_some() {
-                    self.close(index);
+                    self.close(s, group, 1 << lane);
                 }
             }
         }
     }
 }
 
+/// So many triangles are tested one by one against a whole group; more of them, sample by sample.
+const FEW: u32 = 3;
+
+/// The bits of a number below 8, apart.
+const CURVE: [u8; LINES] = [0, 1, 4, 5, 16, 17, 20, 21];
+
 /// The row, or column, of a place.
 #[inline(always)]
-fn bin(place: f32) -> usize {
-    (place.max(0.0) as usize).min(BINS - 1)
+fn line(place: f32) -> usize {
+    place.max(0.0).min(LINES as f32 - 1.0) as usize
 }
 
 /// Sixteen entries from `first` on.
@@ -360,13 +448,6 @@ fn chunk<const N: usize>(from: &[f32; N], first: usize) -> &[f32; LANES] {
     // Where fewer are left, the last sixteen; no caller gets there.
     let first = first.min(N - LANES);
     from[first..].first_chunk().unwrap_or(&[0.0; LANES])
-}
-
-#[inline(always)]
-fn chunk_mut<const N: usize>(to: &mut [f32; N], first: usize) -> &mut [f32; LANES] {
-    let first = first.min(N - LANES);
-    let (head, _) = to[first..].split_at_mut(LANES);
-    head.try_into().expect("sixteen entries")
 }
 
 #[inline(always)]
@@ -380,4 +461,4 @@ fn unit(v: Vec3) -> Option<Vec3> {
 }
 
 /// Smallest unit, as an angle.
-const UNIT_MIN: f32 = 1.0 / 8192.0;
+const UNIT_MIN: f32 = 1.0 / 2048.0;

@@ -2,13 +2,13 @@
 
 use glam::Vec3;
 
-use super::frustum::{Depths, Frustum};
+use super::frustum::{Depths, Frustum, Seen};
 use super::projection::{NEAR, Projected, Projection};
 use crate::cluster::Cluster;
 use crate::count::Count;
 use crate::grid::{BoxFrame, Branch, ClusterRef, LEVELS_MAX, LeafContent, cell_coordinates, flip_cells};
 use crate::memory::SceneMemory;
-use crate::simd::{LANES, Mask, Simd, each};
+use crate::simd::{LANES, Mask, Part, Simd, each};
 use crate::view::{Damaged, SceneView};
 use crate::walk::Budget;
 
@@ -17,11 +17,14 @@ pub(super) trait Targets<S: Simd> {
     /// What still matters.
     fn depths(&mut self, s: S) -> &Depths;
 
+    /// Which parts of the targets triangles within these bounds may matter to; 0 when none.
+    fn interest(&mut self, s: S, bounds: &Bounds) -> u64;
+
     /// Tests sixteen triangles.
     fn test(&mut self, s: S, triangles: &Triangles<'_, S>);
 
     /// Tests a cluster that cannot be projected.
-    fn test_by_rays(&mut self, cluster: &Cluster<'_>);
+    fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>);
 }
 
 /// Up to sixteen triangles of a cluster, projected.
@@ -31,9 +34,31 @@ pub(super) struct Triangles<'a, S: Simd> {
     pub(super) lanes: Mask,
     /// Uncertainty of the corners' coordinates.
     pub(super) delta: f32,
+    /// Relative uncertainty of their inverse depths.
+    pub(super) depth_epsilon: f32,
+    /// What [`Targets::interest`] said of the cluster.
+    pub(super) interest: u64,
     pub(super) cluster: &'a Cluster<'a>,
     /// Place of the first triangle in the cluster.
     pub(super) first: usize,
+}
+
+impl<S: Simd> Triangles<'_, S> {
+    /// The corners of the triangle in a lane, in grid units.
+    #[inline(always)]
+    pub(super) fn corners_of(&self, lane: usize) -> [Vec3; 3] {
+        self.cluster.triangle(self.first + lane)
+    }
+}
+
+/// The box of a cluster on the projection plane, with some margin, and its greatest inverse depth.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Bounds {
+    pub(super) left: f32,
+    pub(super) right: f32,
+    pub(super) top: f32,
+    pub(super) bottom: f32,
+    pub(super) near: f32,
 }
 
 /// A beam: where it looks from and what it may enter.
@@ -54,7 +79,13 @@ pub(super) fn walk<S: Simd, M: SceneMemory, C: Count, T: Targets<S>>(
     targets: &mut T,
     count: &mut C,
 ) -> Result<(), Damaged> {
-    Walk { s, scene, beam, targets, count, budget: Budget::of(scene.header()) }.run()
+    let budget = Budget::of(scene.header());
+    let mut walk = Walk { s, scene, beam, targets, count, budget, queue: Queue::new() };
+    walk.run()?;
+    while let Some(next) = walk.queue.take() {
+        walk.visit_waiting(&next)?;
+    }
+    Ok(())
 }
 
 /// A walk under way.
@@ -65,6 +96,21 @@ struct Walk<'a, S, M, C, T> {
     targets: &'a mut T,
     count: &'a mut C,
     budget: Budget,
+    queue: Queue,
+}
+
+/// Clusters whose box is seen, first in first out. While they wait, their bytes come nearer.
+struct Queue {
+    waiting: [Waiting; Self::LENGTH],
+    first: usize,
+    count: usize,
+}
+
+/// A cluster whose box is seen.
+#[derive(Clone, Copy)]
+struct Waiting {
+    place: ClusterRef,
+    seen: Seen,
 }
 
 /// A branch that the beam is in.
@@ -143,11 +189,12 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
             let leaf = self.scene.leaf(index)?;
             self.count.leaf();
             let depths = self.targets.depths(self.s);
-            if self.beam.frustum.blocks_entered(self.s, visit.corner, &frame, leaf.bounds, depths) == 0 {
+            let seen = self.beam.frustum.box_entered(self.s, visit.corner, &frame, leaf.bounds);
+            if seen.blocks & depths.waiting(self.s, seen.nearest) == 0 {
                 continue;
             }
             match leaf.content().ok_or(Damaged::Leaf(index))? {
-                LeafContent::Cluster(place) => self.visit_cluster(&place)?,
+                LeafContent::Cluster(place) => self.enqueue(Waiting { place, seen })?,
                 LeafContent::Spheres(_) => return Err(Damaged::Leaf(index)),
                 LeafContent::List { .. } if in_list => return Err(Damaged::Leaf(index)),
                 LeafContent::List { first, count } => {
@@ -159,15 +206,40 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
         Ok(())
     }
 
+    /// Has a cluster wait, and visits the one that has waited longest if there is no room.
+    #[inline(always)]
+    fn enqueue(&mut self, next: Waiting) -> Result<(), Damaged> {
+        self.scene.prefetch_cluster(&next.place);
+        match self.queue.push(next) {
+            Some(first) => self.visit_waiting(&first),
+            None => Ok(()),
+        }
+    }
+
+    #[inline(always)]
+    fn visit_waiting(&mut self, Waiting { place, seen }: &Waiting) -> Result<(), Damaged> {
+        let depths = self.targets.depths(self.s);
+        if seen.blocks & depths.waiting(self.s, seen.nearest) == 0 {
+            Ok(())
+        } else {
+            self.visit_cluster(place)
+        }
+    }
+
     #[inline(always)]
     fn visit_cluster(&mut self, place: &ClusterRef) -> Result<(), Damaged> {
         let record = self.scene.cluster(place)?;
         let cluster = Cluster::new(&record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
         self.count.cluster();
-        let Some(vertices) = self.project(&cluster) else {
-            self.targets.test_by_rays(&cluster);
+        let Some(vertices) = self.s.apart(Project { projection: self.beam.projection, cluster: &cluster })
+        else {
+            self.targets.test_by_rays(self.s, &cluster);
             return Ok(());
         };
+        let interest = self.targets.interest(self.s, &vertices.bounds);
+        if interest == 0 {
+            return Ok(());
+        }
         let triangles = usize::from(place.triangles);
         self.count.triangles(triangles as u32);
         let mut first = 0;
@@ -178,26 +250,61 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
                 Projected { x: self.s.lookup(x, index), y: self.s.lookup(y, index), w: self.s.lookup(w, index) }
             });
             let lanes = first_lanes(triangles - first);
-            let batch = Triangles { corners, lanes, delta: vertices.delta, cluster: &cluster, first };
-            self.targets.test(self.s, &batch);
+            let batch = Triangles {
+                corners,
+                lanes,
+                delta: vertices.delta,
+                depth_epsilon: self.beam.projection.depth_epsilon,
+                interest,
+                cluster: &cluster,
+                first,
+            };
+            self.s.apart(Test { targets: &mut *self.targets, triangles: &batch });
             first += LANES;
         }
         Ok(())
     }
+}
+
+/// Tests of sixteen triangles, kept apart.
+struct Test<'a, 'b, S: Simd, T> {
+    targets: &'a mut T,
+    triangles: &'a Triangles<'b, S>,
+}
+
+impl<S: Simd, T: Targets<S>> Part<S> for Test<'_, '_, S, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self, s: S) {
+        self.targets.test(s, self.triangles);
+    }
+}
+
+/// The projection of a cluster, kept apart.
+struct Project<'a> {
+    projection: &'a Projection,
+    cluster: &'a Cluster<'a>,
+}
+
+impl<S: Simd> Part<S> for Project<'_> {
+    type Output = Option<Vertices>;
 
     /// Projects the vertices of a cluster, or `None` when one lies behind the eye or too far out.
     #[inline(always)]
-    fn project(&self, cluster: &Cluster<'_>) -> Option<Vertices> {
-        let s = self.s;
-        let projection = self.beam.projection;
+    fn run(self, s: S) -> Option<Vertices> {
+        let Self { projection, cluster } = self;
         let mut vertices = Vertices {
             x: [[0.0; LANES]; 2],
             y: [[0.0; LANES]; 2],
             w: [[0.0; LANES]; 2],
             delta: projection.delta,
+            bounds: Bounds { left: 0.0, right: 0.0, top: 0.0, bottom: 0.0, near: 0.0 },
         };
         let count = usize::from(cluster.place().vertices);
-        let (mut fits, mut near) = (true, true);
+        let mut fits = true;
+        // Least coordinates, least negated coordinates and inverse depth.
+        let mut least = [s.splat(f32::INFINITY); 5];
         let mut half = 0;
         while half * LANES < count {
             let from = half * LANES;
@@ -209,16 +316,62 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
             let is_sound =
                 s.lt(s.splat(0.0), w) & s.le(out, s.splat(projection.wide)) & s.lt(w, s.splat(W_MAX));
             fits &= is_sound & lanes == lanes;
-            near &= s.le(out, s.splat(NEAR)) & lanes == lanes;
+            let zero = s.splat(0.0);
+            let ends = [x, s.sub(zero, x), y, s.sub(zero, y), s.sub(zero, w)];
+            for (least, end) in least.iter_mut().zip(ends) {
+                *least = s.min(s.select(lanes, end, *least), *least);
+            }
             s.store(x, &mut vertices.x[half]);
             s.store(y, &mut vertices.y[half]);
             s.store(w, &mut vertices.w[half]);
             half += 1;
         }
-        if !near {
+        let [left, right] = [s.least(least[0]), -s.least(least[1])];
+        let [top, bottom] = [s.least(least[2]), -s.least(least[3])];
+        let near = -s.least(least[4]);
+        if left.min(top) < -NEAR || right.max(bottom) > NEAR {
             vertices.delta = projection.delta_wide;
         }
+        let margin = vertices.delta;
+        vertices.bounds = Bounds {
+            left: left - margin,
+            right: right + margin,
+            top: top - margin,
+            bottom: bottom + margin,
+            near: near * (1.0 + projection.depth_epsilon),
+        };
         fits.then_some(vertices)
+    }
+}
+
+impl Queue {
+    /// Long enough to hide the way from main memory behind the work on as many clusters.
+    const LENGTH: usize = 4;
+
+    const fn new() -> Self {
+        let place = ClusterRef { offset: 0, vertices: 0, triangles: 0, first: 0 };
+        let none = Waiting { place, seen: Seen { blocks: 0, nearest: 0.0 } };
+        Self { waiting: [none; Self::LENGTH], first: 0, count: 0 }
+    }
+
+    /// Adds a cluster; gives back the first when there is no room.
+    #[inline(always)]
+    fn push(&mut self, next: Waiting) -> Option<Waiting> {
+        let pushed_out = if self.count == Self::LENGTH { self.take() } else { None };
+        self.waiting[(self.first + self.count) % Self::LENGTH] = next;
+        self.count += 1;
+        pushed_out
+    }
+
+    #[inline(always)]
+    fn take(&mut self) -> Option<Waiting> {
+        if self.count == 0 {
+            return None;
+        }
+        let first = self.waiting[self.first];
+        self.first = (self.first + 1) % Self::LENGTH;
+        self.count -= 1;
+        Some(first)
     }
 }
 
@@ -228,6 +381,7 @@ struct Vertices {
     y: [[f32; LANES]; 2],
     w: [[f32; LANES]; 2],
     delta: f32,
+    bounds: Bounds,
 }
 
 /// A mask of the first `count` lanes.

@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 
+use crate::cluster::Cluster;
 use crate::ray::Primitive;
 
 /// A triangle that some pixel shows, or showed.
@@ -23,6 +24,12 @@ pub(super) struct Winners {
 const CAPACITY: usize = 512;
 
 impl Winner {
+    /// A triangle of a cluster.
+    #[inline(always)]
+    pub(super) fn of(cluster: &Cluster<'_>, index: usize) -> Self {
+        Self { corners: cluster.triangle(index), primitive: cluster.primitive(index) }
+    }
+
     const NONE: Self = Self { corners: [Vec3::ZERO; 3], primitive: Primitive(0) };
 }
 

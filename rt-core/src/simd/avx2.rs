@@ -3,7 +3,7 @@
 
 use core::arch::x86_64::*;
 
-use super::{Kind, LANES, Mask, Simd, Task};
+use super::{Kind, LANES, Mask, Part, Simd, Task};
 
 /// The proof that the processor has AVX2.
 #[derive(Clone, Copy)]
@@ -20,6 +20,12 @@ pub(super) fn run<T: Task>(task: T, kind: Kind) -> T::Output {
 #[target_feature(enable = "avx2,bmi1,popcnt")]
 fn run_there<T: Task>(task: T) -> T::Output {
     task.run(Avx2(()))
+}
+
+#[target_feature(enable = "avx2,bmi1,popcnt")]
+#[inline(never)]
+fn run_apart<T: Part<Avx2>>(part: T, s: Avx2) -> T::Output {
+    part.run(s)
 }
 
 /// An intrinsic.
@@ -91,6 +97,11 @@ impl Simd for Avx2 {
     type F = [__m256; 2];
     type I = [__m256i; 2];
     type D = [__m256d; 4];
+
+    #[inline(always)]
+    fn apart<T: Part<Self>>(self, part: T) -> T::Output {
+        with!(run_apart(part, self))
+    }
 
     #[inline(always)]
     fn splat(self, value: f32) -> Self::F {
@@ -213,11 +224,6 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    fn splat_int(self, value: i32) -> Self::I {
-        [with!(_mm256_set1_epi32(value)); 2]
-    }
-
-    #[inline(always)]
     fn to_int(self, value: Self::F) -> Self::I {
         both!(_mm256_cvttps_epi32(value))
     }
@@ -237,34 +243,6 @@ impl Simd for Avx2 {
     #[inline(always)]
     fn sub_int(self, a: Self::I, b: Self::I) -> Self::I {
         both!(_mm256_sub_epi32(a, b))
-    }
-
-    #[inline(always)]
-    fn or(self, a: Self::I, b: Self::I) -> Self::I {
-        both!(_mm256_or_si256(a, b))
-    }
-
-    #[inline(always)]
-    fn bits(self, a: Self::F) -> Self::I {
-        both!(_mm256_castps_si256(a))
-    }
-
-    #[inline(always)]
-    fn shift_left(self, a: Self::I, by: Self::I) -> Self::I {
-        both!(_mm256_sllv_epi32(a, by))
-    }
-
-    #[inline(always)]
-    fn shift_right(self, a: Self::I, by: Self::I) -> Self::I {
-        both!(_mm256_srlv_epi32(a, by))
-    }
-
-    #[inline(always)]
-    fn meet(self, a: Self::I, b: Self::I) -> Mask {
-        let both = both!(_mm256_and_si256(a, b));
-        let zero = [with!(_mm256_setzero_si256()); 2];
-        let apart = both!(_mm256_cmpeq_epi32(both, zero));
-        !signs(both!(_mm256_castsi256_ps(apart)))
     }
 
     #[inline(always)]

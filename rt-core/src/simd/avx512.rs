@@ -3,7 +3,7 @@
 
 use core::arch::x86_64::*;
 
-use super::{Kind, LANES, Mask, Simd, Task};
+use super::{Kind, LANES, Mask, Part, Simd, Task};
 
 /// The proof that the processor has AVX-512 F, DQ, BW and VL.
 #[derive(Clone, Copy)]
@@ -20,6 +20,12 @@ pub(super) fn run<T: Task>(task: T, kind: Kind) -> T::Output {
 #[target_feature(enable = "avx512f,avx512dq,avx512bw,avx512vl,avx2,bmi1,bmi2,lzcnt,popcnt")]
 fn run_there<T: Task>(task: T) -> T::Output {
     task.run(Avx512(()))
+}
+
+#[target_feature(enable = "avx512f,avx512dq,avx512bw,avx512vl,avx2,bmi1,bmi2,lzcnt,popcnt")]
+#[inline(never)]
+fn run_apart<T: Part<Avx512>>(part: T, s: Avx512) -> T::Output {
+    part.run(s)
 }
 
 /// An intrinsic.
@@ -41,6 +47,11 @@ impl Simd for Avx512 {
     type F = __m512;
     type I = __m512i;
     type D = (__m512d, __m512d);
+
+    #[inline(always)]
+    fn apart<T: Part<Self>>(self, part: T) -> T::Output {
+        with!(run_apart(part, self))
+    }
 
     #[inline(always)]
     fn splat(self, value: f32) -> Self::F {
@@ -135,11 +146,6 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    fn splat_int(self, value: i32) -> Self::I {
-        with!(_mm512_set1_epi32(value))
-    }
-
-    #[inline(always)]
     fn to_int(self, value: Self::F) -> Self::I {
         with!(_mm512_cvttps_epi32(value))
     }
@@ -157,31 +163,6 @@ impl Simd for Avx512 {
     #[inline(always)]
     fn sub_int(self, a: Self::I, b: Self::I) -> Self::I {
         with!(_mm512_sub_epi32(a, b))
-    }
-
-    #[inline(always)]
-    fn or(self, a: Self::I, b: Self::I) -> Self::I {
-        with!(_mm512_or_si512(a, b))
-    }
-
-    #[inline(always)]
-    fn bits(self, a: Self::F) -> Self::I {
-        with!(_mm512_castps_si512(a))
-    }
-
-    #[inline(always)]
-    fn shift_left(self, a: Self::I, by: Self::I) -> Self::I {
-        with!(_mm512_sllv_epi32(a, by))
-    }
-
-    #[inline(always)]
-    fn shift_right(self, a: Self::I, by: Self::I) -> Self::I {
-        with!(_mm512_srlv_epi32(a, by))
-    }
-
-    #[inline(always)]
-    fn meet(self, a: Self::I, b: Self::I) -> Mask {
-        with!(_mm512_test_epi32_mask(a, b))
     }
 
     #[inline(always)]

@@ -71,6 +71,7 @@ mod avx512;
 #[cfg(target_arch = "x86_64")]
 mod detect;
 mod portable;
+mod prefetch;
 #[cfg(test)]
 mod tests;
 
@@ -78,6 +79,7 @@ use core::fmt;
 use core::str::FromStr;
 
 use portable::Portable;
+pub(crate) use prefetch::prefetch;
 
 /// Sixteen bits, one for each lane, the lowest for the first.
 pub(crate) type Mask = u16;
@@ -96,6 +98,10 @@ pub(crate) trait Simd: Copy {
     type I: Copy;
     /// Sixteen `f64`.
     type D: Copy;
+
+    /// Runs a part of a task as a function of its own. Large bodies of code that are used together leave each other too
+    /// few registers; this keeps hot loops apart.
+    fn apart<T: Part<Self>>(self, part: T) -> T::Output;
 
     fn splat(self, value: f32) -> Self::F;
     fn load(self, from: &[f32; LANES]) -> Self::F;
@@ -121,21 +127,11 @@ pub(crate) trait Simd: Copy {
 
     /// Up to sixteen bytes as integers; lanes beyond are 0.
     fn bytes(self, from: &[u8]) -> Self::I;
-    fn splat_int(self, value: i32) -> Self::I;
     /// Cuts off the fraction. The values lie within ±2^30.
     fn to_int(self, value: Self::F) -> Self::I;
     fn to_float(self, value: Self::I) -> Self::F;
     fn store_int(self, value: Self::I, to: &mut [i32; LANES]);
     fn sub_int(self, a: Self::I, b: Self::I) -> Self::I;
-    fn or(self, a: Self::I, b: Self::I) -> Self::I;
-    /// The bits of sixteen `f32`.
-    fn bits(self, a: Self::F) -> Self::I;
-    /// Shifts by 0 to 31.
-    fn shift_left(self, a: Self::I, by: Self::I) -> Self::I;
-    /// Shifts zeros in from above, by 0 to 31.
-    fn shift_right(self, a: Self::I, by: Self::I) -> Self::I;
-    /// Whether the lanes have a bit in common.
-    fn meet(self, a: Self::I, b: Self::I) -> Mask;
 
     fn widen(self, a: Self::F) -> Self::D;
     /// Rounds to single precision.
@@ -191,6 +187,12 @@ pub(crate) trait Simd: Copy {
 pub(crate) trait Task {
     type Output;
     fn run<S: Simd>(self, s: S) -> Self::Output;
+}
+
+/// A part of a task, for lanes that are known.
+pub(crate) trait Part<S> {
+    type Output;
+    fn run(self, s: S) -> Self::Output;
 }
 
 /// The instance of the kernels: which instructions sixteen lanes are made of. All give the same bits.

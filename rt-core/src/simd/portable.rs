@@ -5,11 +5,16 @@
     reason = "conversions are what is asked for; indices are masked"
 )]
 
-use super::{LANES, Mask, Simd};
+use super::{LANES, Mask, Part, Simd};
 
 /// Plain arrays.
 #[derive(Clone, Copy)]
 pub(super) struct Portable;
+
+#[inline(never)]
+fn run_apart<T: Part<Portable>>(part: T, s: Portable) -> T::Output {
+    part.run(s)
+}
 
 #[inline(always)]
 fn map<A: Copy, B: Copy, R>(a: [A; LANES], b: [B; LANES], of: impl Fn(A, B) -> R) -> [R; LANES] {
@@ -25,6 +30,11 @@ impl Simd for Portable {
     type F = [f32; LANES];
     type I = [i32; LANES];
     type D = [f64; LANES];
+
+    #[inline(always)]
+    fn apart<T: Part<Self>>(self, part: T) -> T::Output {
+        run_apart(part, self)
+    }
 
     #[inline(always)]
     fn splat(self, value: f32) -> Self::F {
@@ -122,11 +132,6 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
-    fn splat_int(self, value: i32) -> Self::I {
-        [value; LANES]
-    }
-
-    #[inline(always)]
     fn to_int(self, value: Self::F) -> Self::I {
         value.map(|value| value as i32)
     }
@@ -144,31 +149,6 @@ impl Simd for Portable {
     #[inline(always)]
     fn sub_int(self, a: Self::I, b: Self::I) -> Self::I {
         map(a, b, i32::wrapping_sub)
-    }
-
-    #[inline(always)]
-    fn or(self, a: Self::I, b: Self::I) -> Self::I {
-        map(a, b, |a, b| a | b)
-    }
-
-    #[inline(always)]
-    fn bits(self, a: Self::F) -> Self::I {
-        a.map(|a| a.to_bits().cast_signed())
-    }
-
-    #[inline(always)]
-    fn shift_left(self, a: Self::I, by: Self::I) -> Self::I {
-        map(a, by, |a, by| a << (by & 31))
-    }
-
-    #[inline(always)]
-    fn shift_right(self, a: Self::I, by: Self::I) -> Self::I {
-        map(a, by, |a, by| (a.cast_unsigned() >> (by & 31)).cast_signed())
-    }
-
-    #[inline(always)]
-    fn meet(self, a: Self::I, b: Self::I) -> Mask {
-        mask(a, b, |a, b| a & b != 0)
     }
 
     #[inline(always)]

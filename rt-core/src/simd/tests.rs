@@ -55,15 +55,12 @@ impl Task for EveryOperation {
         }
         let small = s.to_float(s.bytes(&self.bytes));
         floats(small);
-        let by = s.to_int(s.mul(small, s.splat(0.1)));
-        let (x, y) = (s.bits(a), s.bits(b));
-        for value in [s.shift_left(x, by), s.shift_right(x, by), s.or(x, y), s.sub_int(x, y), s.splat_int(7)]
-        {
-            let mut lanes = [0; LANES];
-            s.store_int(value, &mut lanes);
+        let integers = s.to_int(s.mul(small, s.splat(0.1)));
+        for value in [integers, s.sub_int(integers, s.bytes(&self.bytes))] {
+            let lanes = s.int_array(value);
             found.extend(lanes.map(|lane| u64::from(lane.cast_unsigned())));
         }
-        let masks = [s.lt(a, b), s.le(a, b), s.meet(x, y), s.is_zero_f64(wide_a)];
+        let masks = [s.lt(a, b), s.le(a, b), s.is_zero_f64(wide_a)];
         found.extend(masks.map(u64::from));
         found.push(u64::from(s.least(s.abs(s.select(s.le(a, a), a, s.splat(1.0)))).to_bits()));
         found

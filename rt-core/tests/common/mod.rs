@@ -1,6 +1,14 @@
 //! Scenes, rays and the comparison with brute force that the kernel tests share.
 #![allow(dead_code, unreachable_pub, reason = "every test binary uses a part")]
 
+pub mod allocations;
+pub mod exact;
+pub mod pass;
+pub mod reference;
+pub mod shapes;
+pub mod surface;
+pub mod target;
+
 use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::{Flat, Hit, Ray, SceneView, brute};

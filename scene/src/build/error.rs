@@ -45,7 +45,7 @@ pub enum BuildError {
         /// Number of the vertex, from 0.
         vertex: usize,
     },
-    /// The largest coordinate is beyond what the image can scale: above 2^100 or below 2^-100.
+    /// The largest coordinate is beyond what the image can scale: 2^101 or more, or below 2^-100.
     OutOfRange {
         /// The largest absolute coordinate.
         largest: f32,

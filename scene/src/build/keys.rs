@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 use rt_core::grid::GridShape;
 use rt_core::surface::Surface;
+use xxhash_rust::xxh3::xxh3_64;
 
 use super::prepare::ids;
 use super::surfaces::{bits, extent, is_collapsed};
@@ -38,12 +39,17 @@ impl Entry {
 }
 
 /// All primitives of the model that are not collapsed, sorted.
+///
+/// Collapsed ones sort last and are cut off: so the entries are laid down once, in place.
 pub(super) fn sorted(model: &Model, grid: &GridShape) -> Vec<Entry> {
     let curve = Curve::new(grid);
-    let numbered = ids(model).map(|id| (model.surface(id), id));
-    let kept = numbered.filter(|(surface, _)| !is_collapsed(surface));
-    let mut entries: Vec<Entry> = kept.map(|(surface, id)| curve.entry(&surface, id)).collect();
+    let entry = |id: u32| match model.surface(id) {
+        surface if is_collapsed(&surface) => Entry { key: COLLAPSED, id },
+        surface => curve.entry(&surface, id),
+    };
+    let mut entries: Vec<Entry> = ids(model).map(entry).collect();
     entries.par_sort_unstable();
+    entries.truncate(entries.partition_point(|entry| entry.key < COLLAPSED));
     entries
 }
 
@@ -51,23 +57,37 @@ pub(super) fn sorted(model: &Model, grid: &GridShape) -> Vec<Entry> {
 /// sphere that equals an earlier one; returns how many.
 ///
 /// A ray would hit both at the same `t`, and the earlier one wins ties, so the later one could never be seen.
+/// Works in place: where all triangles are equal, a copy of their corners would be larger than the mesh.
 pub(super) fn drop_repeated(model: &Model, entries: &mut Vec<Entry>) -> u64 {
-    let mut repeated = Vec::new();
-    for group in entries.chunk_by(|a, b| a.key == b.key).filter(|group| group.len() > 1) {
-        let mut sorted: Vec<_> =
-            group.iter().map(|entry| (bits(&model.surface(entry.id)), entry.id)).collect();
-        sorted.sort_unstable();
-        repeated.extend(sorted.windows(2).filter(|pair| pair[0].0 == pair[1].0).map(|pair| pair[1].1));
+    let before = entries.len();
+    for group in entries.chunk_by_mut(|a, b| a.key == b.key).filter(|group| group.len() > 1) {
+        mark_repeated(model, group);
     }
-    repeated.sort_unstable();
-    if !repeated.is_empty() {
-        entries.retain(|entry| repeated.binary_search(&entry.id).is_err());
+    entries.retain(|entry| entry.key != REPEATED);
+    (before - entries.len()) as u64
+}
+
+/// Gives every entry of a group of equal keys that repeats an earlier primitive the key [`REPEATED`].
+fn mark_repeated(model: &Model, group: &mut [Entry]) {
+    let bits_of = |entry: &Entry| bits(&model.surface(entry.id));
+    let key = group[0].key;
+    // Sort by a hash first: corners are far away in memory.
+    group.iter_mut().for_each(|entry| entry.key = xxh3_64(bytemuck::bytes_of(&bits_of(entry))));
+    group.sort_unstable();
+    for suspects in group.chunk_by_mut(|a, b| a.key == b.key) {
+        suspects.sort_unstable_by_key(|entry| (bits_of(entry), entry.id));
+        let mut last = None;
+        for entry in suspects {
+            let bits = Some(bits_of(entry));
+            entry.key = if bits == last { REPEATED } else { key };
+            last = bits;
+        }
     }
-    repeated.len() as u64
+    group.sort_unstable_by_key(|entry| entry.id);
 }
 
 /// The grid's cells along the Morton curve, in `f64`: sums of coordinates and cell edges are exact there.
-struct Curve {
+pub(super) struct Curve {
     origin: [f64; 3],
     /// Edge of a finest cell.
     finest: f64,
@@ -76,13 +96,18 @@ struct Curve {
 }
 
 impl Curve {
-    fn new(grid: &GridShape) -> Self {
+    pub(super) fn new(grid: &GridShape) -> Self {
         Self {
             origin: grid.origin.to_array().map(f64::from),
             finest: f64::from(grid.size) / f64::from(1_u32 << (2 * grid.levels)),
             slack: f64::from(grid.slack),
             levels: grid.levels,
         }
+    }
+
+    /// Index of the finest cell that holds the surface's middle: three bits for each halving of the grid.
+    pub(super) fn code(&self, surface: &Surface) -> u64 {
+        self.entry(surface, 0).key >> DEPTH_BITS
     }
 
     fn entry(&self, surface: &Surface, id: u32) -> Entry {
@@ -129,6 +154,12 @@ const fn spread(value: u32) -> u64 {
     bits = (bits | bits << 4) & 0x10c3_0c30_c30c_30c3;
     (bits | bits << 2) & 0x1249_2492_4924_9249
 }
+
+/// The key of a collapsed primitive; no depth is that large.
+const COLLAPSED: u64 = u64::MAX;
+
+/// The key of a primitive that repeats an earlier one; no depth is that large.
+const REPEATED: u64 = u64::MAX;
 
 /// Bits of a key that hold the depth; six for each of ten levels are left.
 const DEPTH_BITS: u32 = 4;

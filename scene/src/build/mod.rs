@@ -1,7 +1,8 @@
 //! Builds the multi-level grid over triangles and spheres.
 //!
 //! # How it goes
-//! 1. [`prepare`]: checks the model, scales it exactly to unit size, and lays the grid's cube around it.
+//! 1. [`prepare`]: checks the model, scales it exactly to unit size, lays the grid's cube around it, and
+//!    chooses the slack ([`crowd`]).
 //! 2. [`keys`]: gives every primitive (triangle or sphere) the Morton code of the finest cell that holds its
 //!    middle, and sorts by it. A primitive is *resident* in the cells above that one, down to the last whose
 //!    padded box holds all of it. After the sort the residents of a cell are a range, so going down the grid
@@ -13,6 +14,7 @@
 //! The result is the same for any number of threads. Memory is about the model, 16 bytes a primitive for the
 //! sort, and 5 for the result; the clusters themselves are made while an image is written.
 
+mod crowd;
 mod error;
 mod grow;
 mod keys;
@@ -38,7 +40,8 @@ use crate::model::Model;
 /// How to build a grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BuildOptions {
-    /// By how much cells are padded, in typical edges. More means fewer copies of triangles that straddle
+    /// By how much cells are padded, in typical edges; less where that would crowd cells, as in a landscape
+    /// with a statue of much smaller triangles. More means fewer copies of triangles that straddle
     /// cells, and more cells for a ray to look into. 0 is allowed.
     pub slack: f32,
 }

@@ -9,6 +9,7 @@ use rt_core::scale::{Scale, exponent_of, power_of_two};
 use rt_core::sphere::Sphere;
 use rt_core::surface::Surface;
 
+use super::crowd::uncrowded;
 use super::surfaces::is_collapsed;
 use super::{BuildError, BuildOptions};
 use crate::mesh::Mesh;
@@ -41,7 +42,7 @@ pub(super) fn prepare(mut model: Model, options: &BuildOptions) -> Result<Prepar
     let typical_edge = typical_edge(&model);
     let mut grid =
         cube_around(&Bounds { low: scale.apply_to(bounds.low), high: scale.apply_to(bounds.high) });
-    grid.slack = (options.slack.max(0.0) * typical_edge).min(grid.size);
+    grid.slack = uncrowded(&model, &grid, (options.slack.max(0.0) * typical_edge).min(grid.size));
     Ok(Prepared { model, bounds, grid, typical_edge, scale_exponent })
 }
 

@@ -26,12 +26,13 @@ pub(super) fn extent(surface: &Surface) -> ([f64; 3], [f64; 3]) {
 }
 
 /// Bits that two surfaces share if, and only if, they are the same.
-pub(super) fn bits(surface: &Surface) -> (bool, [[u32; 3]; 3]) {
+pub(super) fn bits(surface: &Surface) -> [[u32; 3]; 3] {
     let bits_of = |point: Vec3| point.to_array().map(f32::to_bits);
     match *surface {
-        Surface::Triangle(corners) => (false, corners.map(bits_of)),
+        Surface::Triangle(corners) => corners.map(bits_of),
+        // No finite corner has the bits of NOT_FINITE.
         Surface::Sphere(Sphere { centre, radius }) => {
-            (true, [bits_of(centre), [radius.to_bits(), 0, 0], [0; 3]])
+            [bits_of(centre), [radius.to_bits(), 0, 0], [NOT_FINITE; 3]]
         }
     }
 }
@@ -80,6 +81,9 @@ const fn span(place: f64, low: f64, high: f64) -> (f64, f64) {
     let nearest = (low - place).max(place - high).max(0.0);
     (nearest, (low - place).abs().max((high - place).abs()))
 }
+
+/// Bits of a NaN.
+const NOT_FINITE: u32 = u32::MAX;
 
 /// Share of a box's edge by which distances in it are off, and more.
 const MARGIN: f64 = 1.0e-9;

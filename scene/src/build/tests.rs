@@ -1,5 +1,5 @@
 use rt_core::sphere::Sphere;
-use rt_core::{Flat, Ray, SceneView};
+use rt_core::{Flat, Ray, SceneView, WorkCounts};
 
 use super::*;
 use crate::builtin::knot;
@@ -100,6 +100,42 @@ fn a_tiny_object_in_a_huge_scene_builds_in_bounds() {
     let towards =
         |t: f32| Ray { origin: [0.2, 0.2, t].into(), direction: [0.0, 0.0, -1.0].into(), t_max: 1.0e9 };
     assert_eq!(scene.nearest(&towards(10.0), &mut ()).expect("sound").map(|hit| hit.t.round()), Some(11.0));
+}
+
+#[test]
+fn a_statue_in_a_landscape_is_not_a_crowd() {
+    // A metre of small triangles on a kilometre of squares of 10 m.
+    let mut mesh = moved(knot(30_000), 1.0 / 6.6, 0.5);
+    let first = u32::try_from(mesh.positions.len()).expect("a small mesh");
+    for i in 0..=100_u8 {
+        for j in 0..=100_u8 {
+            mesh.positions.push([f32::from(i) * 10.0 - 500.0, f32::from(j) * 10.0 - 500.0, -1.0]);
+        }
+    }
+    for i in (0..100).flat_map(|row| (0..100).map(move |column| first + row * 101 + column)) {
+        mesh.triangles.extend([[i, i + 1, i + 102], [i, i + 102, i + 101]]);
+    }
+    let bytes = built(mesh).expect("builds");
+    let scene = SceneView::new(Flat::new(&bytes)).expect("a valid image");
+    let (mut work, mut hits) = (WorkCounts::default(), 0);
+    for i in 0..40_u8 {
+        for j in 0..40_u8 {
+            let origin = [f32::from(i) / 40.0, f32::from(j) / 40.0, 3.0].into();
+            let ray = Ray { origin, direction: [0.01, 0.02, -1.0].into(), t_max: 3.5 };
+            hits += u32::from(scene.nearest(&ray, &mut work).expect("sound").is_some());
+        }
+    }
+    assert!(hits > 400, "{hits}");
+    // With a slack of half a typical edge it would be 59 leaves a ray.
+    assert!(work.leaves < 15 * 1600, "{work:?}");
+}
+
+#[test]
+fn a_scene_of_one_scale_has_the_slack_that_was_asked_for() {
+    for mesh in [knot(500), knot(40_000)] {
+        let scene = build(mesh, &BuildOptions { slack: 0.7 }, &|_| {}).expect("builds");
+        assert_eq!(scene.grid.slack, 0.7 * scene.typical_edge);
+    }
 }
 
 #[test]
