@@ -77,7 +77,7 @@ fn real_meshes_are_drawn_the_same() {
 }
 
 /// A camera somewhere around or in the scene, looking anywhere, with a light anywhere.
-fn any_frame(scene: &SceneView<Flat<'_>>, dice: &mut Dice, size: u32) -> Frame {
+fn any_frame(scene: &SceneView<Flat<'_>>, dice: &mut Dice, size: u32) -> Option<Frame> {
     let bounds = scene.header().bounds;
     let place = OrbitPlace {
         radius: [0.02, 0.2, 0.6, 1.5, 30.0, 3000.0][dice.below(6)],
@@ -85,7 +85,8 @@ fn any_frame(scene: &SceneView<Flat<'_>>, dice: &mut Dice, size: u32) -> Frame {
         frame: u32::try_from(dice.below(360)).expect("small"),
         frames: 360,
     };
-    let mut frame = on_orbit(&bounds, &place, size, size);
+    // `None` when the scene is so small, for where it lies, that the eye cannot be told from its middle.
+    let mut frame = Frame::on_orbit(&Orbit::around(&bounds), &place, size, size).ok()?;
     let (centre, extent) = ((bounds.low + bounds.high) * 0.5, bounds.high - bounds.low);
     if dice.below(2) == 0 {
         frame.light = centre + extent * dice.point() * [0.1, 0.6, 3.0, 100.0][dice.below(4)];
@@ -96,7 +97,7 @@ fn any_frame(scene: &SceneView<Flat<'_>>, dice: &mut Dice, size: u32) -> Frame {
     if dice.below(8) == 0 {
         frame.camera.x_step *= [0.01, 3.0, -1.0][dice.below(3)];
     }
-    frame
+    Some(frame)
 }
 
 proptest! {
@@ -112,8 +113,9 @@ proptest! {
         let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
         let mut dice = Dice(seed);
         for _ in 0..4 {
-            let frame = any_frame(&scene, &mut dice, 40);
-            agree(&scene, &frame, &format!("{frame:?}"));
+            if let Some(frame) = any_frame(&scene, &mut dice, 40) {
+                agree(&scene, &frame, &format!("{frame:?}"));
+            }
         }
     }
 }

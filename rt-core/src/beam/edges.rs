@@ -58,11 +58,23 @@ impl<F: Copy> Extent<F> {
     /// An edge function is a difference of two products of coordinates, relative to the point, of two corners. Moving
     /// the coordinates by `delta` each changes it by at most `delta` times the sum of their sizes, which is at most
     /// twice the box's width and height, plus `2 delta^2`; its own rounding is far less.
+    ///
+    /// The inverse depth is an affine function on the plane. Where corners move by `delta` each way, what is
+    /// interpolated between them moves by at most `delta` times the sum of its two slopes; each slope is a
+    /// determinant of the corners over the sum of the edge functions. Those are rounded too: by `3 * 2^-24` of the
+    /// square of the size each, times the range of inverse depths.
     #[inline(always)]
-    pub(super) fn margins<S: Simd<F = F>>(&self, s: S, delta: f32) -> Margins<F> {
+    pub(super) fn margins<S: Simd<F = F>>(&self, s: S, triangles: &Triangles<'_, S>) -> Margins<F> {
+        let delta = triangles.delta;
         let size = s.add(s.sub(self.right, self.left), s.sub(self.bottom, self.top));
         let edge = s.add(s.mul(size, s.splat(delta * 2.125)), s.splat(delta * delta * 4.0));
-        Margins { edge, depth: s.mul(s.mul(edge, s.splat(3.0)), s.sub(self.near, self.far)) }
+        let [a, b, c] = triangles.corners;
+        let (from_b, from_c) = (s.sub(b.w, a.w), s.sub(c.w, a.w));
+        let slope_x = edge_of(s, [from_b, s.sub(b.y, a.y)], [from_c, s.sub(c.y, a.y)]);
+        let slope_y = edge_of(s, [from_b, s.sub(b.x, a.x)], [from_c, s.sub(c.x, a.x)]);
+        let slopes = s.add(s.abs(slope_x), s.abs(slope_y));
+        let rounding = s.mul(s.mul(size, size), s.mul(s.sub(self.near, self.far), s.splat(ROUNDING)));
+        Margins { edge, depth: s.add(s.mul(slopes, s.splat(delta * 1.125)), rounding) }
     }
 }
 
@@ -78,7 +90,8 @@ pub(super) fn cover<S: Simd>(
     let corners = &triangles.corners;
     let [ax, bx, cx] = each!(3: *corners, corner => s.sub(corner.x, x));
     let [ay, by, cy] = each!(3: *corners, corner => s.sub(corner.y, y));
-    let weights = [edge(s, [bx, by], [cx, cy]), edge(s, [cx, cy], [ax, ay]), edge(s, [ax, ay], [bx, by])];
+    let weights =
+        [edge_of(s, [bx, by], [cx, cy]), edge_of(s, [cx, cy], [ax, ay]), edge_of(s, [ax, ay], [bx, by])];
     let (least, greatest) = (s.min3(weights), s.max3(weights));
     let below = s.sub(s.splat(0.0), margins.edge);
     let candidates = (s.le(below, least) | s.le(greatest, margins.edge)) & lanes;
@@ -95,6 +108,9 @@ pub(super) fn cover<S: Simd>(
 
 /// The edge function of two corners around 0. Products are rounded apart, so swapping the corners negates it exactly.
 #[inline(always)]
-fn edge<S: Simd>(s: S, p: [S::F; 2], q: [S::F; 2]) -> S::F {
+fn edge_of<S: Simd>(s: S, p: [S::F; 2], q: [S::F; 2]) -> S::F {
     s.sub(s.mul(p[0], q[1]), s.mul(p[1], q[0]))
 }
+
+/// `16 * 2^-24`.
+const ROUNDING: f32 = 1.0 / 1_048_576.0;

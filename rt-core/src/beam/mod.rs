@@ -77,7 +77,10 @@ impl<M: SceneMemory, C: Count> Task for Draw<'_, M, C> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) -> Option<TileCounts> {
         let Self { view, tile, pixels: bytes, work } = self;
-        let pixels = see(s, view, tile, work)?.ok()?;
+        let Some(pixels) = see(s, view, tile, work)?.ok()? else {
+            bytes.fill(shade::byte(shade::BACKGROUND));
+            return Some(TileCounts { primary: tile.pixels() as u64, ..TileCounts::default() });
+        };
         let lighting = Lighting { eye: view.eye, light: view.light, shadow_offset: view.shadow_offset };
         let mut lit =
             Lit { grey: [[shade::BACKGROUND; LANES]; LANES], facing: [0; LANES], points: Points::new() };
@@ -92,7 +95,7 @@ impl<M: SceneMemory, C: Count> Task for Draw<'_, M, C> {
         }
         let shadow = if view.frame.has_shadows() { lit.points.count as u64 } else { 0 };
         let shadowed = if shadow == 0 { 0 } else { lit.cast_shadows(s, view, work).ok()? };
-        write(&lit.grey, tile, bytes);
+        write(s, &lit.grey, tile, bytes);
         Some(TileCounts {
             primary: tile.pixels() as u64,
             hits: pixels.hit.iter().map(|hit| u64::from(hit.count_ones())).sum(),
@@ -104,21 +107,31 @@ impl<M: SceneMemory, C: Count> Task for Draw<'_, M, C> {
     }
 }
 
-/// Finds the nearest triangle of each pixel; `None` when the camera is not for beams.
+/// Finds the nearest triangle of each pixel; `None` when the camera is not for beams. No pixels when none hits
+/// anything.
 #[inline(always)]
 fn see<'a, S: Simd, M: SceneMemory, C: Count>(
     s: S,
     view: &'a TileView<'_, M>,
     tile: Tile,
     work: &mut C,
-) -> Option<Result<Pixels<'a>, Damaged>> {
+) -> Option<Result<Option<Pixels<'a>>, Damaged>> {
     let camera = &view.frame.camera;
     let projection = Projection::of_tile(camera, view.eye, tile)?;
-    let mut pixels = Pixels::new(camera, view.eye, tile, projection.depth_epsilon);
-    let [columns, rows] = pixels.borders();
+    let [columns, rows] = pixels::borders(tile);
     let frustum = Frustum::new(s, &projection, &columns, &rows, &view.scene.header().grid)?;
     let beam = Beam { projection: &projection, frustum: &frustum };
-    Some(walk(s, view.scene, &beam, &mut pixels, work).map(|()| pixels))
+    let grid = &view.scene.header().grid;
+    match view.scene.branch(0) {
+        Ok(root) if frustum.cells_entered(s, &root, grid.origin, grid.size * 0.25, f32::MAX) == 0 => {
+            return Some(Ok(None));
+        }
+        Ok(_) => {}
+        Err(damaged) => return Some(Err(damaged)),
+    }
+    let mut pixels = Pixels::new(camera, view.eye, tile, projection.depth_epsilon);
+    let walked = walk(s, view.scene, &beam, &mut pixels, work);
+    Some(walked.map(|()| pixels.hit.iter().any(|&hit| hit != 0).then_some(pixels)))
 }
 
 /// What the pixels of a tile show, and where light may fall.
@@ -212,12 +225,17 @@ fn by_rays<M: SceneMemory, C: Count>(
     Ok(shadowed)
 }
 
-/// Turns greys into bytes, row by row.
+/// Turns greys into bytes, row by row, as [`shade::byte`] does.
 #[inline(always)]
-fn write(grey: &ByBlock<f32>, tile: Tile, bytes: &mut [u8]) {
+fn write<S: Simd>(s: S, grey: &ByBlock<f32>, tile: Tile, bytes: &mut [u8]) {
+    let mut found = [[0; LANES]; LANES];
+    for (grey, found) in grey.iter().zip(&mut found) {
+        let scaled = s.add(s.mul(s.load(grey), s.splat(255.0)), s.splat(0.5));
+        s.store_int(s.to_int(s.min(s.max(scaled, s.splat(0.0)), s.splat(255.0))), found);
+    }
     for (y, row) in bytes.chunks_exact_mut(tile.width as usize).enumerate() {
         for (x, byte) in row.iter_mut().enumerate() {
-            *byte = shade::byte(grey[y / 4 * 4 + x / 4][y % 4 * 4 + x % 4]);
+            *byte = found[y / 4 % 4 * 4 + x / 4 % 4][y % 4 * 4 + x % 4] as u8;
         }
     }
 }

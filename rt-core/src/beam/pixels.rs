@@ -38,6 +38,15 @@ pub(super) struct Pixels<'a> {
     depth_epsilon: f32,
 }
 
+/// The borders of a tile's columns and rows of blocks.
+pub(super) fn borders(tile: Tile) -> [Borders; 2] {
+    [tile.width, tile.height].map(|length| {
+        let end = length as f32 - 1.0;
+        let first = [0.0_f32, 4.0, 8.0, 12.0];
+        Borders { first: first.map(|at| at.min(end)), last: first.map(|at| (at + 3.0).min(end)) }
+    })
+}
+
 /// Sixteen triangles under test.
 struct Batch<'a, 'b, S: Simd> {
     triangles: &'a Triangles<'b, S>,
@@ -59,11 +68,10 @@ struct Reach<S: Simd> {
 impl<'a> Pixels<'a> {
     pub(super) fn new(camera: &'a Camera, eye: Vec3, tile: Tile, depth_epsilon: f32) -> Self {
         let present: [Mask; LANES] = core::array::from_fn(|block| {
-            let (x, y) = (block as u32 % 4 * 4, block as u32 / 4 * 4);
-            (0..16).fold(0, |mask, lane| {
-                let is_present = x + lane % 4 < tile.width && y + lane / 4 < tile.height;
-                mask | Mask::from(is_present) << lane
-            })
+            let count = |length: u32, at: usize| length as i32 - 4 * at as i32;
+            let columns = in_range(0, count(tile.width, block % 4) - 1, 0);
+            let rows = in_range(0, count(tile.height, block / 4) - 1, 0);
+            spread(rows) & (columns * 0x1111)
         });
         let blocks = present.map(|present| if present == 0 { f32::INFINITY } else { 0.0 });
         Self {
@@ -80,15 +88,6 @@ impl<'a> Pixels<'a> {
             stale: 0,
             depth_epsilon,
         }
-    }
-
-    /// The borders of the tile's columns and rows.
-    pub(super) fn borders(&self) -> [Borders; 2] {
-        [self.tile.width, self.tile.height].map(|length| {
-            let end = length as f32 - 1.0;
-            let first = [0.0_f32, 4.0, 8.0, 12.0];
-            Borders { first: first.map(|at| at.min(end)), last: first.map(|at| (at + 3.0).min(end)) }
-        })
     }
 
     /// The triangle that a pixel shows.
@@ -346,7 +345,7 @@ impl<S: Simd> Targets<S> for Pixels<'_> {
         }
         let one = s.splat(1.0);
         let small = lanes & s.le(wide, one) & s.le(high, one);
-        let margins = extent.margins(s, triangles.delta);
+        let margins = extent.margins(s, triangles);
         let mut batch = Batch { triangles, margins, near, places: [None; LANES] };
         if small != 0 {
             self.test_small(s, &mut batch, &reach, small);
@@ -377,7 +376,7 @@ impl<S: Simd> Targets<S> for Pixels<'_> {
 const fn in_range(first: i32, last: i32, at: i32) -> Mask {
     let from = if first > at { first - at } else { 0 };
     let until = if last < at + 3 { last - at } else { 3 };
-    (0xf << from & 0xf >> (3 - until)) as Mask
+    if from > 3 || until < 0 { 0 } else { (0xf << from & 0xf >> (3 - until)) as Mask }
 }
 
 /// Each of four bits four times.

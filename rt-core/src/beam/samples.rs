@@ -7,7 +7,7 @@ use super::frustum::{Borders, Depths};
 use super::projection::{Projected, Projection};
 use super::walk::{Bounds, Targets, Triangles};
 use crate::cluster::{Cluster, Nearest};
-use crate::simd::{LANES, Mask, Simd, each};
+use crate::simd::{LANES, Mask, Part, Simd, each};
 use crate::triangle_woop::WoopRay;
 
 /// Most samples of a tile.
@@ -239,6 +239,17 @@ impl<'a> Samples<'a> {
         self.ray(group, lane).intersect(corners, 1.0).is_some()
     }
 
+    /// The open samples of a group that lie within some bounds.
+    #[inline(always)]
+    fn open_within<S: Simd>(&self, s: S, group: usize, bounds: &Bounds) -> Mask {
+        let (x, y) = (s.load(&self.x[group]), s.load(&self.y[group]));
+        s.le(s.splat(bounds.left), x)
+            & s.le(x, s.splat(bounds.right))
+            & s.le(s.splat(bounds.top), y)
+            & s.le(y, s.splat(bounds.bottom))
+            & s.lt(s.load(&self.w[group]), s.splat(bounds.near))
+    }
+
     /// Tests the triangles of some lanes against a sample: for many triangles that are small.
     #[inline(always)]
     fn test_sample<S: Simd>(&mut self, s: S, (group, lane): (usize, usize), batch: &Batch<'_, '_, S>) {
@@ -325,6 +336,17 @@ struct Batch<'a, 'b, S: Simd> {
     near: S::F,
 }
 
+impl<S: Simd> Batch<'_, '_, S> {
+    /// Bounds of all its triangles.
+    #[inline(always)]
+    fn around(&self, s: S) -> Bounds {
+        let zero = s.splat(0.0);
+        let [right, bottom, near] =
+            each!(3: [self.right, self.bottom, self.near], end => -s.least(s.sub(zero, end)));
+        Bounds { left: s.least(self.left), right, top: s.least(self.top), bottom, near }
+    }
+}
+
 /// A batch, lane by lane.
 struct Lanes {
     corners: [[[f32; LANES]; 3]; 3],
@@ -376,42 +398,7 @@ impl<S: Simd> Targets<S> for Samples<'_> {
 
     #[inline(always)]
     fn test(&mut self, s: S, triangles: &Triangles<'_, S>) {
-        let extent = Extent::of(s, &triangles.corners);
-        let delta = s.splat(triangles.delta);
-        let batch = Batch {
-            triangles,
-            margins: extent.margins(s, triangles.delta),
-            left: s.sub(extent.left, delta),
-            right: s.add(extent.right, delta),
-            top: s.sub(extent.top, delta),
-            bottom: s.add(extent.bottom, delta),
-            near: s.mul(extent.near, s.splat(1.0 + triangles.depth_epsilon)),
-        };
-        let mut by_lane = None;
-        let mut groups = triangles.interest;
-        while groups != 0 {
-            let group = groups.trailing_zeros() as usize % GROUPS;
-            groups &= groups - 1;
-            let mut lanes = s.le(batch.left, s.splat(self.right[group]))
-                & s.le(s.splat(self.left[group]), batch.right)
-                & s.le(batch.top, s.splat(self.bottom[group]))
-                & s.le(s.splat(self.top[group]), batch.bottom)
-                & s.lt(s.splat(self.far[group]), batch.near)
-                & triangles.lanes;
-            if lanes.count_ones() > FEW {
-                let mut open = self.open[group];
-                while open != 0 {
-                    self.test_sample(s, (group, open.trailing_zeros() as usize), &batch);
-                    open &= open - 1;
-                }
-            } else if lanes != 0 {
-                let by_lane = by_lane.get_or_insert_with(|| Lanes::of(s, &batch));
-                while lanes != 0 {
-                    self.test_group(s, group, lanes.trailing_zeros() as usize, &batch, by_lane);
-                    lanes &= lanes - 1;
-                }
-            }
-        }
+        s.apart(Test { samples: self, triangles });
     }
 
     fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>) {
@@ -430,8 +417,66 @@ impl<S: Simd> Targets<S> for Samples<'_> {
     }
 }
 
+/// The test of sixteen triangles, kept apart: it needs all registers.
+struct Test<'a, 'b, 'c, S: Simd> {
+    samples: &'a mut Samples<'b>,
+    triangles: &'a Triangles<'c, S>,
+}
+
+impl<S: Simd> Part<S> for Test<'_, '_, '_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self, s: S) {
+        self.samples.test_batch(s, self.triangles);
+    }
+}
+
+impl Samples<'_> {
+    #[inline(always)]
+    fn test_batch<S: Simd>(&mut self, s: S, triangles: &Triangles<'_, S>) {
+        let extent = Extent::of(s, &triangles.corners);
+        let delta = s.splat(triangles.delta);
+        let batch = Batch {
+            triangles,
+            margins: extent.margins(s, triangles),
+            left: s.sub(extent.left, delta),
+            right: s.add(extent.right, delta),
+            top: s.sub(extent.top, delta),
+            bottom: s.add(extent.bottom, delta),
+            near: s.mul(extent.near, s.splat(1.0 + triangles.depth_epsilon)),
+        };
+        let around = batch.around(s);
+        let mut by_lane = None;
+        let mut groups = triangles.interest;
+        while groups != 0 {
+            let group = groups.trailing_zeros() as usize % GROUPS;
+            groups &= groups - 1;
+            let mut lanes = s.le(batch.left, s.splat(self.right[group]))
+                & s.le(s.splat(self.left[group]), batch.right)
+                & s.le(batch.top, s.splat(self.bottom[group]))
+                & s.le(s.splat(self.top[group]), batch.bottom)
+                & s.lt(s.splat(self.far[group]), batch.near)
+                & triangles.lanes;
+            if lanes.count_ones() > FEW {
+                let mut open = self.open_within(s, group, &around);
+                while open != 0 {
+                    self.test_sample(s, (group, open.trailing_zeros() as usize), &batch);
+                    open &= open - 1;
+                }
+            } else if lanes != 0 {
+                let by_lane = by_lane.get_or_insert_with(|| Lanes::of(s, &batch));
+                while lanes != 0 {
+                    self.test_group(s, group, lanes.trailing_zeros() as usize, &batch, by_lane);
+                    lanes &= lanes - 1;
+                }
+            }
+        }
+    }
+}
+
 /// So many triangles are tested one by one against a whole group; more of them, sample by sample.
-const FEW: u32 = 3;
+const FEW: u32 = 5;
 
 /// The bits of a number below 8, apart.
 const CURVE: [u8; LINES] = [0, 1, 4, 5, 16, 17, 20, 21];

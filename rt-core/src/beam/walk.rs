@@ -231,7 +231,7 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
         let record = self.scene.cluster(place)?;
         let cluster = Cluster::new(&record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
         self.count.cluster();
-        let Some(vertices) = self.s.apart(Project { projection: self.beam.projection, cluster: &cluster })
+        let Some(vertices) = Project { projection: self.beam.projection, cluster: &cluster }.run(self.s)
         else {
             self.targets.test_by_rays(self.s, &cluster);
             return Ok(());
@@ -259,25 +259,10 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
                 cluster: &cluster,
                 first,
             };
-            self.s.apart(Test { targets: &mut *self.targets, triangles: &batch });
+            self.targets.test(self.s, &batch);
             first += LANES;
         }
         Ok(())
-    }
-}
-
-/// Tests of sixteen triangles, kept apart.
-struct Test<'a, 'b, S: Simd, T> {
-    targets: &'a mut T,
-    triangles: &'a Triangles<'b, S>,
-}
-
-impl<S: Simd, T: Targets<S>> Part<S> for Test<'_, '_, S, T> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self, s: S) {
-        self.targets.test(s, self.triangles);
     }
 }
 

@@ -9,6 +9,7 @@ pub(super) fn has_avx2() -> bool {
 }
 
 /// AVX-512 with the parts that the kernels use, and a system that saves its registers.
+#[cfg(feature = "lanes-avx512")]
 pub(super) fn has_avx512() -> bool {
     has_avx2() && saved_registers() & ZMM == ZMM && features().1 & AVX512 == AVX512
 }
@@ -32,13 +33,15 @@ fn features() -> (u32, u32) {
 
 const OSXSAVE: u32 = 1 << 27;
 const YMM: u64 = 0b110;
+#[cfg(feature = "lanes-avx512")]
 const ZMM: u64 = 0b1110_0110;
 /// AVX2 and BMI1.
 const AVX2: u32 = 1 << 5 | 1 << 3;
 /// AVX-512 F, DQ, BW, VL.
+#[cfg(feature = "lanes-avx512")]
 const AVX512: u32 = 1 << 16 | 1 << 17 | 1 << 30 | 1 << 31;
 
-#[cfg(test)]
+#[cfg(all(test, feature = "lanes-avx512"))]
 mod tests {
     use super::*;
 

@@ -64,11 +64,11 @@ macro_rules! each {
 }
 pub(crate) use each;
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", feature = "lanes-avx2"))]
 mod avx2;
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", feature = "lanes-avx512"))]
 mod avx512;
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", any(feature = "lanes-avx2", feature = "lanes-avx512")))]
 mod detect;
 mod portable;
 mod prefetch;
@@ -204,9 +204,9 @@ pub struct Lanes(Kind);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Kind {
     Portable,
-    #[cfg(target_arch = "x86_64")]
+    #[cfg(all(target_arch = "x86_64", feature = "lanes-avx2"))]
     Avx2,
-    #[cfg(target_arch = "x86_64")]
+    #[cfg(all(target_arch = "x86_64", feature = "lanes-avx512"))]
     Avx512,
 }
 
@@ -231,16 +231,16 @@ impl Lanes {
 
     /// All lanes that this processor has, narrowest first.
     pub fn available() -> impl Iterator<Item = Self> {
-        ALL.into_iter().filter(|lanes| lanes.is_available())
+        ALL.iter().copied().filter(|lanes| lanes.is_available())
     }
 
     /// The name that [`FromStr`] takes.
     pub const fn name(self) -> &'static str {
         match self.0 {
             Kind::Portable => "portable",
-            #[cfg(target_arch = "x86_64")]
+            #[cfg(all(target_arch = "x86_64", feature = "lanes-avx2"))]
             Kind::Avx2 => "avx2",
-            #[cfg(target_arch = "x86_64")]
+            #[cfg(all(target_arch = "x86_64", feature = "lanes-avx512"))]
             Kind::Avx512 => "avx512",
         }
     }
@@ -248,10 +248,10 @@ impl Lanes {
     fn is_available(self) -> bool {
         match self.0 {
             Kind::Portable => true,
-            #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 => cfg!(feature = "lanes-avx2") && detect::has_avx2(),
-            #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => cfg!(feature = "lanes-avx512") && detect::has_avx512(),
+            #[cfg(all(target_arch = "x86_64", feature = "lanes-avx2"))]
+            Kind::Avx2 => detect::has_avx2(),
+            #[cfg(all(target_arch = "x86_64", feature = "lanes-avx512"))]
+            Kind::Avx512 => detect::has_avx512(),
         }
     }
 
@@ -264,26 +264,23 @@ impl Lanes {
             Kind::Avx2 => avx2::run(task, self.0),
             #[cfg(all(target_arch = "x86_64", feature = "lanes-avx512"))]
             Kind::Avx512 => avx512::run(task, self.0),
-            #[cfg(target_arch = "x86_64")]
-            #[allow(
-                unreachable_patterns,
-                reason = "reached only without the features above, and no value is made then"
-            )]
-            _ => task.run(Portable),
         }
     }
 }
 
-#[cfg(target_arch = "x86_64")]
-const ALL: [Lanes; 3] = [Lanes(Kind::Portable), Lanes(Kind::Avx2), Lanes(Kind::Avx512)];
-#[cfg(not(target_arch = "x86_64"))]
-const ALL: [Lanes; 1] = [Lanes(Kind::Portable)];
+const ALL: &[Lanes] = &[
+    Lanes(Kind::Portable),
+    #[cfg(all(target_arch = "x86_64", feature = "lanes-avx2"))]
+    Lanes(Kind::Avx2),
+    #[cfg(all(target_arch = "x86_64", feature = "lanes-avx512"))]
+    Lanes(Kind::Avx512),
+];
 
 impl FromStr for Lanes {
     type Err = LanesError;
 
     fn from_str(name: &str) -> Result<Self, LanesError> {
-        let lanes = ALL.into_iter().find(|lanes| lanes.name() == name).ok_or(LanesError::Unknown)?;
+        let lanes = ALL.iter().copied().find(|lanes| lanes.name() == name).ok_or(LanesError::Unknown)?;
         if lanes.is_available() { Ok(lanes) } else { Err(LanesError::Absent) }
     }
 }
