@@ -14,12 +14,13 @@ use dsm_core::replacement::PolicyKind;
 use fault_linux::BackendKind;
 use rt_core::Kernel;
 use rt_core::image::{PAGE_BYTES_MAX, PAGE_BYTES_MIN};
+use scene::builtin::BuiltIn;
 use scene::{BuildOptions, Info, SceneFile};
 
 use crate::control::{BindTo, TransportKind};
 use crate::output::{Destination, check_folder_of, write_whole};
 use crate::progress::StageBar;
-use crate::report::{RunReport, thousands};
+use crate::report::{RunReport, counted, thousands};
 use crate::run::{Options, Source, run};
 use crate::scene_source::PAGE_BYTES_DEFAULT;
 use crate::size::{Bytes, Memory, PictureSize};
@@ -50,16 +51,18 @@ enum Command {
     Info(ShowInfo),
 }
 
-/// Renders a mesh or a scene image on a cluster of local processes
+/// Renders a mesh, a scene image or a built-in scene on a cluster of local processes
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   memsavvy render bunny.ply -o bunny.png
+  memsavvy render sphereflake:3 -o flake.png --radius 0.75 --elevation 20
   memsavvy render dragon.msv -o orbit-%03d.png --frames 36 --radius 0.75
   memsavvy render dragon.msv --nodes 2 --stores 2 --memory 16% --report run.json
   memsavvy render dragon.msv --nodes 4 --memory 5M --page 4K --backend segv --policy fifo")]
 struct Render {
-    /// A mesh (PLY, OBJ) or a scene image made by `memsavvy prepare`
+    /// A mesh (PLY, OBJ), a scene image made by `memsavvy prepare`, or a built-in scene: knot:TRIANGLES or
+    /// sphereflake:DEPTH
     scene: PathBuf,
     #[command(flatten)]
     output: Output,
@@ -143,17 +146,21 @@ struct View {
     /// Distance of the eye from the middle of the scene, in diagonals of the scene
     #[arg(long, value_name = "R", default_value_t = 1.5)]
     radius: f32,
+    /// Height of the eye, in degrees above the horizon
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    elevation: f64,
 }
 
-/// Builds the grid over a mesh and writes a scene image
+/// Builds the grid over a mesh or a built-in scene and writes a scene image
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   memsavvy prepare dragon.ply -o dragon.msv
   memsavvy prepare scan.obj -o scan.msv --page 64K
-  memsavvy prepare --builtin 5000000 -o knot.msv")]
+  memsavvy prepare knot:5000000 -o knot.msv
+  memsavvy prepare sphereflake:6 -o flake.msv")]
 struct Prepare {
-    /// A mesh: PLY (ascii or binary) or OBJ
+    /// A mesh, PLY (ascii or binary) or OBJ, or a built-in scene: knot:TRIANGLES or sphereflake:DEPTH
     #[arg(required_unless_present = "builtin")]
     mesh: Option<PathBuf>,
     /// The scene image to write
@@ -162,7 +169,7 @@ struct Prepare {
     /// The smallest page that the image may be used with; a power of two from 4K to 2M
     #[arg(long, value_name = "SIZE", default_value = "16K", value_parser = page_bytes)]
     page: u32,
-    /// Take the built-in knot with at least this many triangles instead of a mesh
+    /// Short for knot:TRIANGLES
     #[arg(long, value_name = "TRIANGLES", conflicts_with = "mesh")]
     builtin: Option<usize>,
     /// Print nothing but errors
@@ -233,7 +240,7 @@ impl Render {
     fn run(self, command: Vec<String>) -> Result<()> {
         let Self { scene, output, cluster, view } = self;
         let options = Options {
-            source: Source::Path(scene),
+            source: Source::named(&scene)?,
             nodes: cluster.nodes,
             stores: cluster.stores,
             threads: cluster.threads,
@@ -247,6 +254,7 @@ impl Render {
             size: view.size,
             frames: view.frames,
             radius: view.radius,
+            elevation: view.elevation,
             deadline: cluster.deadline,
             lose_per_mille: cluster.lose,
             seed: cluster.seed,
@@ -278,21 +286,18 @@ fn render(options: &Options, output: Option<&str>) -> Result<RunReport> {
 impl Prepare {
     fn run(self) -> Result<()> {
         check_folder_of(&self.output)?;
-        let (name, mesh) = match (&self.mesh, self.builtin) {
-            (_, Some(triangles)) => ("the built-in knot".to_owned(), scene::builtin::knot(triangles)),
-            (Some(path), None) => {
-                let name = path.display().to_string();
-                if SceneFile::is_one(path).with_context(|| format!("cannot read {name}"))? {
-                    bail!("{name} is a scene image already");
-                }
-                let mesh = scene::read_mesh(path).with_context(|| format!("cannot read {name}"))?;
-                (name, mesh)
-            }
+        let source = match (&self.mesh, self.builtin) {
+            (_, Some(triangles)) => Source::BuiltIn(BuiltIn::Knot { triangles }),
+            (Some(path), None) => Source::named(path)?,
             (None, None) => bail!("no mesh was given"),
         };
+        if source.is_image()? {
+            bail!("{} is a scene image already", self.mesh.unwrap_or_default().display());
+        }
+        let (name, model) = source.model()?;
         let bar = StageBar::new(self.quiet);
         let start = std::time::Instant::now();
-        let built = scene::build(mesh, &BuildOptions::default(), &|progress| bar.show(progress))
+        let built = scene::build(model, &BuildOptions::default(), &|progress| bar.show(progress))
             .with_context(|| format!("cannot use {name}"))?;
         let seconds = start.elapsed().as_secs_f64();
         let info = write_whole(&self.output, |file| {
@@ -303,12 +308,12 @@ impl Prepare {
             return Ok(());
         }
         print(&format!(
-            "{}: {} triangles, {}, {:.1} bytes a triangle; built in {seconds:.2} s, {:.2} M triangles a second",
+            "{}: {}, {}, {:.1} bytes a primitive; built in {seconds:.2} s, {:.2} M primitives a second",
             self.output.display(),
-            thousands(info.triangles),
+            counted(info.triangles, info.spheres),
             Bytes(info.image_bytes),
-            info.bytes_per_triangle,
-            info.triangles as f64 / seconds / 1e6,
+            info.bytes_per_primitive,
+            (info.triangles + info.spheres) as f64 / seconds / 1e6,
         ))
     }
 }
@@ -330,20 +335,22 @@ fn describe(info: &Info) -> String {
     let mut lines = vec![
         ("uses", info.needs.to_string()),
         ("triangles", thousands(info.triangles)),
-        ("never hit", format!("{} with two corners in one point", thousands(info.collapsed))),
+        ("spheres", thousands(info.spheres)),
+        ("never hit", format!("{} with two corners in one point or no radius", thousands(info.collapsed))),
         ("vertices", thousands(info.vertices)),
         ("bounds", format!("{} to {}", info.bounds.low, info.bounds.high)),
+        ("view", format!("{} to {}", info.view.low, info.view.high)),
         ("typical edge", format!("{}", info.typical_edge)),
         ("image", Bytes(info.image_bytes).to_string()),
         ("pages", format!("{} of {}", thousands(info.pages), Bytes(info.page_bytes.into()))),
-        ("a triangle", format!("{:.2} bytes", info.bytes_per_triangle)),
-        ("copies", format!("{:.3} stored for each triangle", info.duplication)),
+        ("a primitive", format!("{:.2} bytes", info.bytes_per_primitive)),
+        ("copies", format!("{:.3} stored for each primitive", info.duplication)),
         ("levels", info.levels.to_string()),
         ("branches", thousands(info.branches.into())),
         ("leaves", thousands(info.leaves.into())),
         (
             "clusters",
-            format!("{} of {:.1} triangles", thousands(info.clusters.into()), info.triangles_per_cluster),
+            format!("{} of {:.1} primitives", thousands(info.clusters.into()), info.primitives_per_cluster),
         ),
     ];
     lines.extend(info.segments.map(|(kind, bytes)| {

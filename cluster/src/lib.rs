@@ -11,7 +11,7 @@
 //! | `supervisor` | starts processes, watches them, gathers tiles, ends them |
 //! | `control`, `link` | what supervisor and nodes say to each other, and the socket it goes over |
 //! | `node`, `painter`, `ports` | a process of the cluster: its pages, its render threads, its ways to the others |
-//! | `scene_source` | where the scene comes from: a mesh, an image, the built-in knot |
+//! | `scene_source` | where the scene comes from: a mesh, an image, a built-in scene |
 //! | [`report`] | what a run prints and writes |
 //! | `picture`, `output` | pixels to PNG, and their hash; files that are whole or not there |
 //!

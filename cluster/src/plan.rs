@@ -16,7 +16,7 @@ pub struct Demand {
     pub nodes: u16,
     /// Processes that hold pages and render nothing. 0: the nodes hold them.
     pub stores: u16,
-    /// What one node may hold; `None` for its home share and 15 % of the image besides.
+    /// What one node may hold; `None` for its home share and 15 % of the image besides, or a few pages if that is more.
     pub memory: Option<Memory>,
     /// Length of the scene image.
     pub image_bytes: u64,
@@ -98,6 +98,9 @@ pub const PROCESSES_MAX: u16 = 64;
 /// What a node may hold besides its home share when nobody says.
 const EXTRA_SHARE: f64 = 0.15;
 
+/// And at least room for so many pages of others, so that a scene of a few pages renders too.
+const EXTRA_SLOTS_MIN: u64 = 4;
+
 impl Plan {
     /// Deals the pages and counts the slots.
     ///
@@ -136,7 +139,9 @@ impl Plan {
         let home_bytes = self.home_bytes_max();
         // Shares are of whole pages: half a page cannot be held.
         let image_bytes = u64::from(self.placement.page_count()) * u64::from(self.page_bytes);
-        let unsaid = Memory::Share(EXTRA_SHARE).of(image_bytes) + home_bytes + self.bookkeeping_bytes(0);
+        let per_slot = u64::from(self.page_bytes) + PER_SLOT_BYTES;
+        let extra = Memory::Share(EXTRA_SHARE).of(image_bytes).max(EXTRA_SLOTS_MIN * per_slot);
+        let unsaid = extra + home_bytes + self.bookkeeping_bytes(0);
         let budget_bytes = demand.memory.map_or(unsaid, |memory| memory.of(image_bytes));
         let others = self.placement.page_count() - self.smallest_home();
         if others == 0 {
@@ -149,7 +154,6 @@ impl Plan {
             image_bytes,
             nodes: self.nodes,
         })?;
-        let per_slot = u64::from(self.page_bytes) + PER_SLOT_BYTES;
         let slots = rest.saturating_sub(self.bookkeeping_bytes(0)) / per_slot;
         // All of the image is there: what the tables need on top of 100 % is not held against it.
         let whole_image = budget_bytes >= image_bytes;
@@ -329,6 +333,17 @@ mod tests {
     fn a_budget_without_room_for_one_page_is_refused() {
         let small = Demand { stores: 1, image_bytes: MEGABYTE, page_bytes: 2 << 20, ..demand() };
         assert!(matches!(Plan::new(&small), Err(PlanError::NoSlot { .. })));
+    }
+
+    #[test]
+    fn a_scene_of_a_few_pages_needs_no_words_about_memory() {
+        for pages in 1..30 {
+            for nodes in 1..=8 {
+                let demand = Demand { nodes, memory: None, image_bytes: pages * 16384, ..demand() };
+                let plan = Plan::new(&demand).unwrap();
+                assert!(plan.slots > 0 || nodes == 1, "{pages} pages on {nodes} nodes");
+            }
+        }
     }
 
     #[test]

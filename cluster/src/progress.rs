@@ -22,7 +22,7 @@ pub(crate) struct FrameBar {
 impl StageBar {
     pub(crate) fn new(quiet: bool) -> Self {
         Self {
-            bar: bar(quiet, "{msg:8} {wide_bar} {percent:3} % of {human_len} triangles"),
+            bar: bar(quiet, "{msg:8} {wide_bar} {percent:3} % of {human_len} primitives"),
             stage: Mutex::new(None),
         }
     }

@@ -30,8 +30,11 @@ pub struct RunReport {
 pub struct SceneReport {
     /// Where it came from.
     pub name: String,
-    /// Triangles of the mesh.
+    /// Triangles of the model.
     pub triangles: u64,
+    /// Spheres of the model.
+    #[serde(default)]
+    pub spheres: u64,
     /// Length of the scene image.
     pub image_bytes: u64,
     /// Pages of the run; they may be larger than those the image was made for.
@@ -170,9 +173,9 @@ impl Display for RunReport {
         let Self { scene, totals, .. } = self;
         writeln!(
             f,
-            "{}: {} triangles, image of {} in {} pages of {}",
+            "{}: {}, image of {} in {} pages of {}",
             scene.name,
-            thousands(scene.triangles),
+            counted(scene.triangles, scene.spheres),
             Bytes(scene.image_bytes),
             thousands(scene.pages.into()),
             Bytes(scene.page_bytes.into()),
@@ -269,6 +272,17 @@ fn table(nodes: &[ProcessReport]) -> String {
         text.push('\n');
     }
     text
+}
+
+/// How many triangles and spheres, of what there are.
+pub(crate) fn counted(triangles: u64, spheres: u64) -> String {
+    let (of_triangles, of_spheres) =
+        (format!("{} triangles", thousands(triangles)), format!("{} spheres", thousands(spheres)));
+    match (triangles, spheres) {
+        (_, 0) => of_triangles,
+        (0, _) => of_spheres,
+        _ => format!("{of_triangles} and {of_spheres}"),
+    }
 }
 
 /// A count with a gap after every three digits: `1 234 567`.

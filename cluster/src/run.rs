@@ -11,6 +11,7 @@ use dsm_core::replacement::PolicyKind;
 use fault_linux::BackendKind;
 use rt_core::camera::OrbitPlace;
 use rt_core::{Frame, Header, Kernel, Orbit};
+use scene::builtin::BuiltIn;
 use transport_shm::{Inbox, Layout, PageFile};
 
 pub use crate::control::{BindTo, TransportKind};
@@ -56,6 +57,8 @@ pub struct Options {
     pub frames: u32,
     /// Distance of the eye from the middle, in diagonals of the scene.
     pub radius: f32,
+    /// Height of the eye, in degrees above the horizon.
+    pub elevation: f64,
     /// A fault that is not served, or a process that says nothing, for this long ends the run.
     pub deadline: Duration,
     /// Messages that are lost on purpose, in a thousand.
@@ -72,7 +75,7 @@ impl Default for Options {
     /// The main job: the built-in scene, four nodes, eight frames.
     fn default() -> Self {
         Self {
-            source: Source::BuiltIn { triangles: 600_000 },
+            source: Source::BuiltIn(BuiltIn::Knot { triangles: 600_000 }),
             nodes: 4,
             stores: 0,
             threads: None,
@@ -86,6 +89,7 @@ impl Default for Options {
             size: PictureSize { width: 512, height: 512 },
             frames: 1,
             radius: 1.05,
+            elevation: 0.0,
             deadline: Duration::from_secs(5),
             lose_per_mille: 0,
             seed: 1,
@@ -114,7 +118,7 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<
     // Each process has its own part now; nobody holds the whole.
     drop(files);
 
-    let orbit = Orbit::around(&header.bounds);
+    let orbit = Orbit::around(&header.view);
     let mut frames = Vec::new();
     let bar = FrameBar::new(options.quiet, options.frames);
     for number in 0..options.frames {
@@ -227,6 +231,7 @@ impl Run {
         SceneReport {
             name,
             triangles: header.triangles,
+            spheres: header.spheres,
             image_bytes: header.image_bytes,
             pages: self.plan.placement.page_count(),
             page_bytes: self.plan.page_bytes,
@@ -242,6 +247,9 @@ impl Options {
         }
         if !self.radius.is_finite() || self.radius <= 0.0 {
             bail!("--radius is a distance in diagonals of the scene, above 0; got {}", self.radius);
+        }
+        if !(-90.0..=90.0).contains(&self.elevation) {
+            bail!("--elevation is an angle from -90 to 90 degrees; got {}", self.elevation);
         }
         if self.threads.is_some_and(|threads| threads.get() > THREADS_MAX) {
             bail!("a node has at most {THREADS_MAX} render threads");
@@ -262,7 +270,8 @@ impl Options {
     }
 
     fn frame(&self, orbit: &Orbit, number: u32) -> Result<Frame> {
-        let place = OrbitPlace { radius: self.radius, elevation: 0.0, frame: number, frames: self.frames };
+        let Self { radius, elevation, frames, .. } = *self;
+        let place = OrbitPlace { radius, elevation, frame: number, frames };
         Frame::on_orbit(orbit, &place, self.size.width, self.size.height)
             .with_context(|| format!("no camera at --radius {} of this scene", self.radius))
     }

@@ -1,4 +1,4 @@
-//! Where the scene comes from: a mesh, a scene image, or the built-in knot.
+//! Where the scene comes from: a mesh, a scene image, or a built-in scene.
 
 use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom};
@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use rt_core::Header;
 use rustix::fs::{MemfdFlags, SealFlags, fcntl_add_seals, memfd_create};
-use scene::{BuildOptions, Mesh, SceneFile};
+use scene::builtin::{BuiltIn, BuiltInError};
+use scene::{BuildOptions, Model, SceneFile};
 
 use crate::progress::StageBar;
 use crate::size::Bytes;
@@ -16,11 +17,8 @@ use crate::size::Bytes;
 /// What to render.
 #[derive(Clone, Debug)]
 pub enum Source {
-    /// The built-in knot, with at least so many triangles.
-    BuiltIn {
-        /// Triangles it has at least.
-        triangles: usize,
-    },
+    /// A built-in scene.
+    BuiltIn(BuiltIn),
     /// A mesh, or a scene image made by `memsavvy prepare`.
     Path(PathBuf),
 }
@@ -39,19 +37,47 @@ pub(crate) struct Image {
 pub(crate) const PAGE_BYTES_DEFAULT: u32 = 16 << 10;
 
 impl Source {
+    /// What was typed: the name of a built-in scene, unless there is a file of that name, or a path.
+    ///
+    /// # Errors
+    /// The name is one of a built-in scene, and the number after it makes no sense.
+    pub fn named(name: &Path) -> Result<Self> {
+        match name.to_str().map_or(Err(BuiltInError::Unknown), str::parse) {
+            Ok(built_in) if !name.exists() => Ok(Self::BuiltIn(built_in)),
+            Err(error) if error != BuiltInError::Unknown && !name.exists() => Err(error.into()),
+            _ => Ok(Self::Path(name.to_owned())),
+        }
+    }
+
+    /// Makes or reads the model, and tells what to call it. A scene image is none.
+    pub(crate) fn model(&self) -> Result<(String, Model)> {
+        match self {
+            Self::BuiltIn(built_in) => Ok((built_in.to_string(), built_in.model())),
+            Self::Path(path) => {
+                let name = path.display().to_string();
+                let mesh = scene::read_mesh(path).with_context(|| format!("cannot read {name}"))?;
+                Ok((name, mesh.into()))
+            }
+        }
+    }
+
+    /// Whether it is a scene image already.
+    pub(crate) fn is_image(&self) -> Result<bool> {
+        match self {
+            Self::BuiltIn(_) => Ok(false),
+            Self::Path(path) => {
+                SceneFile::is_one(path).with_context(|| format!("cannot read {}", path.display()))
+            }
+        }
+    }
+
     /// Builds or opens the image. A mesh is laid out for pages of `page_bytes`; an image must have been, or for smaller.
     pub(crate) fn open(&self, page_bytes: Option<u32>, quiet: bool) -> Result<Image> {
         match self {
-            Self::BuiltIn { triangles } => {
-                build("the built-in knot".to_owned(), scene::builtin::knot(*triangles), page_bytes, quiet)
-            }
-            Self::Path(path) => {
-                let name = path.display().to_string();
-                if SceneFile::is_one(path).with_context(|| format!("cannot read {name}"))? {
-                    return open_image(name, path, page_bytes);
-                }
-                let mesh = scene::read_mesh(path).with_context(|| format!("cannot read {name}"))?;
-                build(name, mesh, page_bytes, quiet)
+            Self::Path(path) if self.is_image()? => open_image(path.display().to_string(), path, page_bytes),
+            _ => {
+                let (name, model) = self.model()?;
+                build(name, model, page_bytes, quiet)
             }
         }
     }
@@ -94,10 +120,10 @@ fn open_image(name: String, path: &Path, page_bytes: Option<u32>) -> Result<Imag
     Ok(Image { name, header, file, is_frozen: false })
 }
 
-fn build(name: String, mesh: Mesh, page_bytes: Option<u32>, quiet: bool) -> Result<Image> {
+fn build(name: String, model: Model, page_bytes: Option<u32>, quiet: bool) -> Result<Image> {
     let bar = StageBar::new(quiet);
     let progress = |progress| bar.show(progress);
-    let built = scene::build(mesh, &BuildOptions::default(), &progress)
+    let built = scene::build(model, &BuildOptions::default(), &progress)
         .with_context(|| format!("cannot use {name}"))?;
     let mut file = BufWriter::with_capacity(1 << 20, memory_file()?);
     let header = built.write(page_bytes.unwrap_or(PAGE_BYTES_DEFAULT), &mut file, &progress)?;

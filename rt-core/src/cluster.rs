@@ -12,46 +12,42 @@ use crate::count::Count;
 use crate::filter::Filter;
 use crate::grid::{ClusterRef, TRIANGLES_MAX, VERTICES_MAX};
 use crate::ray::Primitive;
+use crate::surface::Surface;
 use crate::triangle_woop::{Crossing, Sheared, WoopRay, cross};
 
 /// The nearest hit so far; starts as a miss at `t_max`.
 ///
-/// Of two hits at the same `t` that one stays whose corners come first, compared as numbers in order, and
-/// among equal triangles the lowest primitive. So the winner does not depend on the order of visits, nor on
+/// Of two hits at the same `t` a triangle comes before a sphere; of two triangles that one stays whose corners
+/// come first, compared as numbers in order; of two spheres the one with the lowest centre, then the smallest
+/// radius; and among equals the lowest primitive. So the winner does not depend on the order of visits, nor on
 /// which copy of a triangle was met.
 #[derive(Clone, Copy, Debug)]
 pub struct Nearest {
-    /// Where the ray crosses the triangle; `t` is the bound for what is still of interest.
+    /// Where the ray crosses the surface; `t` is the bound for what is still of interest.
     pub crossing: Crossing,
-    /// The triangle, or `None` while nothing was hit.
-    pub triangle: Option<(Primitive, [Vec3; 3])>,
+    /// What was hit, or `None` while nothing was.
+    pub surface: Option<(Primitive, Surface)>,
 }
 
 impl Nearest {
     /// Nothing hit yet, nothing beyond `t_max` wanted.
     pub const fn none(t_max: f32) -> Self {
-        Self { crossing: Crossing { t: t_max, u: 0.0, v: 0.0 }, triangle: None }
+        Self { crossing: Crossing { t: t_max, u: 0.0, v: 0.0 }, surface: None }
     }
 
     /// Takes a hit with `crossing.t <= self.crossing.t` if it comes before the one so far.
-    pub fn offer(&mut self, crossing: Crossing, primitive: Primitive, corners: [Vec3; 3]) {
-        let wins = match &self.triangle {
-            Some((held, held_corners)) if crossing.t == self.crossing.t => {
-                let key = |corners: &[Vec3; 3]| corners.map(|corner| corner.to_array().map(ordered));
-                (key(&corners), primitive) < (key(held_corners), *held)
+    pub fn offer(&mut self, crossing: Crossing, primitive: Primitive, surface: impl Into<Surface>) {
+        let surface = surface.into();
+        let wins = match &self.surface {
+            Some((held, held_surface)) if crossing.t == self.crossing.t => {
+                (surface.order(), primitive) < (held_surface.order(), *held)
             }
             _ => true,
         };
         if wins {
-            *self = Self { crossing, triangle: Some((primitive, corners)) };
+            *self = Self { crossing, surface: Some((primitive, surface)) };
         }
     }
-}
-
-/// Bits of a float that compare as integers the way `f32::total_cmp` does.
-fn ordered(value: f32) -> i32 {
-    let bits = value.to_bits().cast_signed();
-    bits ^ ((bits >> 31).cast_unsigned() >> 1).cast_signed()
 }
 
 /// The arrays of a cluster, borrowed from a record of [`cluster_bytes`] bytes.
@@ -148,11 +144,11 @@ impl<'a> Cluster<'a> {
             candidates &= candidates - 1;
             let [a, b, c] = self.corners.map(|corners| sheared.corner(corners[index]));
             if let Some(crossing) = cross(a, b, c, nearest.crossing.t) {
-                let (primitive, corners) = (self.primitive(index), self.triangle(index));
-                if !filter.accepts(&crossing, primitive, corners) {
+                let (primitive, surface) = (self.primitive(index), Surface::Triangle(self.triangle(index)));
+                if !filter.accepts(&crossing, primitive, &surface) {
                     continue;
                 }
-                nearest.offer(crossing, primitive, corners);
+                nearest.offer(crossing, primitive, surface);
                 if ANY {
                     return;
                 }

@@ -8,10 +8,12 @@ pub trait Count {
     fn branch(&mut self) {}
     /// A leaf record was read and its box tested.
     fn leaf(&mut self) {}
-    /// The corners of a cluster were sheared into ray space.
+    /// A cluster was read, and its triangles or spheres are tested.
     fn cluster(&mut self) {}
     /// That many triangles of a cluster were tested.
     fn triangles(&mut self, _count: u32) {}
+    /// That many spheres of a cluster were tested.
+    fn spheres(&mut self, _count: u32) {}
 }
 
 impl Count for () {}
@@ -27,6 +29,8 @@ pub struct WorkCounts {
     pub clusters: u64,
     /// Triangles tested.
     pub triangles: u64,
+    /// Spheres tested.
+    pub spheres: u64,
 }
 
 impl Count for WorkCounts {
@@ -44,6 +48,10 @@ impl Count for WorkCounts {
 
     fn triangles(&mut self, count: u32) {
         self.triangles += u64::from(count);
+    }
+
+    fn spheres(&mut self, count: u32) {
+        self.spheres += u64::from(count);
     }
 }
 

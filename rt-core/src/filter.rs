@@ -1,27 +1,26 @@
 //! Filters: which hits count.
 //!
-//! A refused hit is passed through, as if the triangle had a hole there: for cut-out textures, for geometry
+//! A refused hit is passed through, as if the triangle or sphere had a hole there: for cut-out textures, for geometry
 //! that one kind of ray does not see, for collecting all hits of a ray by refusing each.
-
-use glam::Vec3;
 
 use crate::count::Count;
 use crate::grid_ray::GridRay;
+use crate::kinds::AllKinds;
 use crate::memory::SceneMemory;
 use crate::ray::{Hit, Primitive, Ray};
+use crate::surface::Surface;
 use crate::triangle_woop::{Crossing, WoopRay};
 use crate::view::{Damaged, SceneView};
-use crate::walk::walk_with;
 
 /// Decides about hits inside a kernel, in grid units; the `Filter` of `()` accepts all and compiles away.
 pub trait Filter {
     /// Whether the hit counts.
-    fn accepts(&mut self, crossing: &Crossing, primitive: Primitive, corners: [Vec3; 3]) -> bool;
+    fn accepts(&mut self, crossing: &Crossing, primitive: Primitive, surface: &Surface) -> bool;
 }
 
 impl Filter for () {
     #[inline]
-    fn accepts(&mut self, _: &Crossing, _: Primitive, _: [Vec3; 3]) -> bool {
+    fn accepts(&mut self, _: &Crossing, _: Primitive, _: &Surface) -> bool {
         true
     }
 }
@@ -33,18 +32,19 @@ struct HitFilter<'a, F> {
 }
 
 impl<F: FnMut(&Hit) -> bool> Filter for HitFilter<'_, F> {
-    fn accepts(&mut self, crossing: &Crossing, primitive: Primitive, corners: [Vec3; 3]) -> bool {
-        (self.accept)(&self.ray.hit_at(crossing, primitive, corners))
+    fn accepts(&mut self, crossing: &Crossing, primitive: Primitive, surface: &Surface) -> bool {
+        let hit = self.ray.hit_at::<AllKinds>(crossing, primitive, surface);
+        hit.is_some_and(|hit| (self.accept)(&hit))
     }
 }
 
 impl<M: SceneMemory> SceneView<M> {
     /// The nearest hit of a ray that `accept` does not refuse.
     ///
-    /// `accept` sees hits in any order, possibly the same more than once (a triangle may be stored in several
+    /// `accept` sees hits in any order, possibly the same more than once (what is stored in several
     /// cells), and none behind the nearest that it accepted. When its answer depends on the hit alone, the
-    /// result does not depend on that order. Of triangles with equal corners only the first of the mesh
-    /// exists.
+    /// result does not depend on that order. Of triangles with equal corners, and of equal spheres,
+    /// only the first of the model exists.
     ///
     /// ```
     /// # use rt_core::{Flat, Ray, SceneView};
@@ -68,7 +68,7 @@ impl<M: SceneMemory> SceneView<M> {
     ) -> Result<Option<Hit>, Damaged> {
         let Some(ray) = GridRay::from_world(ray, self.header()) else { return Ok(None) };
         let mut filter = HitFilter { ray: &ray, accept };
-        Ok(ray.hit(&walk_with::<M, WoopRay, _, C, false>(self, &ray, &mut filter, count)?))
+        self.nearest_with::<WoopRay, _, _>(&ray, &mut filter, count)
     }
 
     /// Whether a ray has any hit that `accept` does not refuse; see
@@ -96,6 +96,6 @@ impl<M: SceneMemory> SceneView<M> {
     ) -> Result<bool, Damaged> {
         let Some(ray) = GridRay::from_world(ray, self.header()) else { return Ok(false) };
         let mut filter = HitFilter { ray: &ray, accept };
-        Ok(walk_with::<M, WoopRay, _, C, true>(self, &ray, &mut filter, count)?.triangle.is_some())
+        self.any_with::<WoopRay, _, _>(&ray, &mut filter, count)
     }
 }

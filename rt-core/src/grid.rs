@@ -1,4 +1,4 @@
-//! The multi-level grid: branches with 4x4x4 children, and leaves that name clusters of triangles.
+//! The multi-level grid: branches with 4x4x4 children, and leaves that name clusters of triangles or spheres.
 //!
 //! A *branch* is a cube cut into 64 *cells*. A cell is empty, or an *inner* cell (again a branch), or belongs
 //! to a *run*: consecutive cells, in Morton order with inner cells skipped, that share one leaf. Nothing
@@ -14,7 +14,7 @@
 //! A triangle is stored in every cell that it overlaps by more than [`slack`](GridShape::slack); all cells
 //! are taken as padded by the slack. The slack is one length for all levels, so a padded cell lies in its
 //! padded parent, and the hit of a ray lies in a padded cell that holds the triangle, and in all padded cells
-//! above it.
+//! above it. A sphere is stored where its surface is: a cell inside a sphere need not know of it.
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
@@ -67,24 +67,26 @@ pub struct Leaf {
     /// Place of the cluster in its segment, in units of 16 bytes; or [`Self::LIST`] plus the index of the
     /// list's first leaf.
     pub cluster: u32,
-    /// Address-order index of the cluster's first triangle; or the number of leaves in the list.
+    /// Address-order index of the cluster's first primitive; or the number of leaves in the list.
     pub first: u32,
-    /// Tight box of the triangles inside the run's padded cells: lowest x, y, z and highest x, y, z in
-    /// [`BoxFrame`] steps.
+    /// Tight box of what is inside the run's padded cells: lowest x, y, z and highest x, y, z in [`BoxFrame`]
+    /// steps.
     pub bounds: [u8; 6],
-    /// Vertices of the cluster, `1..=32`; 0 for a list.
+    /// Vertices of a cluster of triangles, `1..=32`; [`Self::SPHERES`] for a cluster of spheres, 0 for a list.
     pub vertices: u8,
-    /// Triangles of the cluster, `1..=64`; 0 for a list.
-    pub triangles: u8,
+    /// Triangles of the cluster, `1..=64`, or spheres, `1..=32`; 0 for a list.
+    pub count: u8,
 }
 
 /// What a [`Leaf`] leads to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LeafContent {
-    /// One cluster.
+    /// One cluster of triangles.
     Cluster(ClusterRef),
-    /// Cells that no splitting can separate: a list of consecutive leaves, each with a cluster and a box of
-    /// its own.
+    /// One cluster of spheres.
+    Spheres(SpheresRef),
+    /// Cells that no splitting can separate, or that hold both kinds: a list of consecutive leaves, each with
+    /// a cluster and a box of its own.
     List {
         /// Index of the first leaf of the list.
         first: u32,
@@ -93,7 +95,7 @@ pub enum LeafContent {
     },
 }
 
-/// Where a cluster lies and how large it is.
+/// Where a cluster of triangles lies and how large it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClusterRef {
     /// Offset in the cluster segment, in bytes.
@@ -106,9 +108,23 @@ pub struct ClusterRef {
     pub first: u32,
 }
 
+/// Where a cluster of spheres lies and how large it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SpheresRef {
+    /// Offset in the cluster segment, in bytes.
+    pub offset: u64,
+    /// Number of spheres, `1..=32`.
+    pub count: u8,
+    /// Address-order index of the first sphere.
+    pub first: u32,
+}
+
 impl Leaf {
     /// Bit of `cluster` that makes the leaf a list.
     pub const LIST: u32 = 1 << 31;
+
+    /// Value of `vertices` that makes the cluster one of spheres.
+    pub const SPHERES: u8 = 0x80;
 
     /// Decodes the leaf, or `None` when its counts are impossible.
     #[inline]
@@ -116,14 +132,14 @@ impl Leaf {
         if self.cluster & Self::LIST != 0 {
             return Some(LeafContent::List { first: self.cluster & !Self::LIST, count: self.first });
         }
-        let fits =
-            (1..=VERTICES_MAX).contains(&self.vertices) && (1..=TRIANGLES_MAX).contains(&self.triangles);
-        fits.then_some(LeafContent::Cluster(ClusterRef {
-            offset: u64::from(self.cluster) * 16,
-            vertices: self.vertices,
-            triangles: self.triangles,
-            first: self.first,
-        }))
+        let offset = u64::from(self.cluster) * 16;
+        let Self { first, vertices, count, .. } = *self;
+        if vertices == Self::SPHERES {
+            let fits = (1..=SPHERES_MAX).contains(&count);
+            return fits.then_some(LeafContent::Spheres(SpheresRef { offset, count, first }));
+        }
+        let fits = (1..=VERTICES_MAX).contains(&vertices) && (1..=TRIANGLES_MAX).contains(&count);
+        fits.then_some(LeafContent::Cluster(ClusterRef { offset, vertices, triangles: count, first }))
     }
 }
 
@@ -255,6 +271,9 @@ pub const VERTICES_MAX: u8 = 32;
 
 /// Most triangles of a cluster.
 pub const TRIANGLES_MAX: u8 = 64;
+
+/// Most spheres of a cluster.
+pub const SPHERES_MAX: u8 = 32;
 
 /// Length of a [`Branch`] in bytes.
 pub const BRANCH_BYTES: usize = size_of::<Branch>();

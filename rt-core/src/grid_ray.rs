@@ -7,17 +7,19 @@ use glam::{Vec3, Vec4};
 use crate::cluster::Nearest;
 use crate::grid::{BoxFrame, FLIP_AXIS, GridShape};
 use crate::image::Header;
+use crate::kinds::Kinds;
 use crate::ray::{Hit, Primitive, Ray};
 use crate::scale::{Scale, exponent_of, power_of_two};
 use crate::shade;
+use crate::sphere::SphereRay;
+use crate::surface::Surface;
 use crate::triangle_test::TriangleTest;
 use crate::triangle_woop::{Crossing, WoopRay};
 
 /// A ray brought into grid space: coordinates by the image's scale, the direction normalised by a power of
-/// two. Both are exact. `T` is the triangle test that it is prepared for.
+/// two. Both are exact.
 #[derive(Clone, Copy, Debug)]
-pub struct GridRay<T = WoopRay> {
-    test: T,
+pub struct GridRay {
     origin: Vec3,
     direction: Vec3,
     /// One over the direction, tiny components replaced.
@@ -36,7 +38,8 @@ impl GridRay {
     /// Brings a ray of world units into the grid of an image; `None` when it is a stated miss (see [`Ray`]).
     #[inline]
     pub fn from_world(ray: &Ray, header: &Header) -> Option<Self> {
-        Self::for_test(ray, header)
+        let scale = header.scale();
+        Self::new(scale.apply_to(ray.origin), ray.direction, ray.t_max, scale, &header.grid)
     }
 
     /// A ray whose origin is in grid units and whose direction and `t_max` are such that `scale` takes them
@@ -49,25 +52,6 @@ impl GridRay {
         scale: Scale,
         grid: &GridShape,
     ) -> Option<Self> {
-        Self::prepare(origin, direction, t_max, scale, grid)
-    }
-
-    /// The ray as the default triangle test wants it.
-    pub const fn woop(&self) -> &WoopRay {
-        &self.test
-    }
-}
-
-impl<T: TriangleTest> GridRay<T> {
-    /// As [`from_world`](GridRay::from_world), for any triangle test.
-    #[inline]
-    pub fn for_test(ray: &Ray, header: &Header) -> Option<Self> {
-        let scale = header.scale();
-        Self::prepare(scale.apply_to(ray.origin), ray.direction, ray.t_max, scale, &header.grid)
-    }
-
-    #[inline]
-    fn prepare(origin: Vec3, direction: Vec3, t_max: f32, scale: Scale, grid: &GridShape) -> Option<Self> {
         let reach = (origin - grid.origin).abs() + grid.size;
         let longest = direction.abs().max_element();
         // Comparisons are written so that a NaN anywhere fails them.
@@ -81,10 +65,9 @@ impl<T: TriangleTest> GridRay<T> {
         let tiny = power_of_two(-60);
         let inverse =
             Vec3::from(direction.to_array().map(|d| 1.0 / if d.abs() < tiny { tiny.copysign(d) } else { d }));
-        let allowance = reach * power_of_two(-18) + reach.max_element() * power_of_two(-58);
+        let allowance = reach * power_of_two(-18) + reach.max_element() * power_of_two(-46);
         let negative = |axis: usize| if inverse[axis] < 0.0 { FLIP_AXIS[axis] } else { 0 };
         Some(Self {
-            test: T::new(origin, direction),
             origin,
             direction,
             inverse,
@@ -96,9 +79,22 @@ impl<T: TriangleTest> GridRay<T> {
         })
     }
 
-    /// The ray as its triangle test wants it.
-    pub const fn test(&self) -> &T {
-        &self.test
+    /// The ray as the triangle test `T` wants it.
+    #[inline]
+    pub fn test<T: TriangleTest>(&self) -> T {
+        T::new(self.origin, self.direction)
+    }
+
+    /// The ray as the default triangle test wants it.
+    #[inline]
+    pub fn woop(&self) -> WoopRay {
+        self.test()
+    }
+
+    /// The ray as the sphere test wants it.
+    #[inline]
+    pub const fn sphere_ray(&self) -> SphereRay {
+        SphereRay::new(self.origin, self.direction)
     }
 
     /// Largest `t` of interest, in grid units.
@@ -111,19 +107,28 @@ impl<T: TriangleTest> GridRay<T> {
         self.flip
     }
 
-    /// The hit in the caller's units.
+    /// The hit in the caller's units. A hit of other kinds than `K` is none.
     #[inline]
-    pub fn hit(&self, nearest: &Nearest) -> Option<Hit> {
-        let (primitive, corners) = nearest.triangle?;
-        Some(self.hit_at(&nearest.crossing, primitive, corners))
+    pub fn hit<K: Kinds>(&self, nearest: &Nearest) -> Option<Hit> {
+        let (primitive, surface) = nearest.surface?;
+        self.hit_at::<K>(&nearest.crossing, primitive, &surface)
     }
 
-    /// A crossing in the caller's units.
+    /// A crossing in the caller's units. One with another kind than `K` is none.
     #[inline]
-    pub(crate) fn hit_at(&self, crossing: &Crossing, primitive: Primitive, corners: [Vec3; 3]) -> Hit {
+    pub(crate) fn hit_at<K: Kinds>(
+        &self,
+        crossing: &Crossing,
+        primitive: Primitive,
+        surface: &Surface,
+    ) -> Option<Hit> {
         let Crossing { t, u, v } = *crossing;
-        let normal = shade::normal(corners, self.direction);
-        Hit { t: self.caller_from_grid.apply(t), u, v, primitive, normal }
+        let normal = match surface {
+            Surface::Triangle(corners) if K::TRIANGLES => shade::normal(*corners, self.direction),
+            Surface::Sphere(sphere) if K::SPHERES => self.sphere_ray().normal(sphere),
+            _ => return None,
+        };
+        Some(Hit { t: self.caller_from_grid.apply(t), u, v, primitive, normal })
     }
 
     /// The cells of the branch at `corner` that the ray enters before `t_max`, in Morton order.

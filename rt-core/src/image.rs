@@ -6,8 +6,10 @@
 //! - *branches*: [`Branch`](crate::grid::Branch), 32 bytes each, depth first: the children of a branch
 //!   together, then what is below each of them;
 //! - *leaves*: [`Leaf`](crate::grid::Leaf), 16 bytes each, by branch; its lists after its runs;
-//! - *clusters*: see [`cluster`](crate::cluster), in Morton order of space, depth first: the *address order*;
-//! - *ids*: a `u32` for each triangle in address order, its number in the mesh.
+//! - *clusters*: see [`cluster`](crate::cluster) and [`sphere`](crate::sphere), in Morton order of space, depth
+//!   first: the *address order*;
+//! - *ids*: a `u32` for each triangle and sphere in address order, its number in the model: triangles first,
+//!   spheres after the last triangle.
 //!
 //! No record crosses a page of `page_bytes`. A run may use any larger power of two as its page.
 
@@ -40,15 +42,18 @@ pub struct Header {
     pub needs: SceneNeeds,
     /// Triangles of the mesh, collapsed ones included.
     pub triangles: u64,
-    /// Triangles of the mesh that no ray can hit, since two of their corners are the same point; they are not
-    /// stored.
+    /// Spheres, those without a radius included.
+    pub spheres: u64,
+    /// Triangles and spheres that no ray can hit, since two of their corners are the same point or their radius
+    /// is 0; they are not stored.
     pub collapsed: u64,
-    /// Triangles of the mesh that repeat an earlier one, corner for corner; they could never win a tie, and
-    /// are not stored.
+    /// Triangles and spheres that repeat an earlier one, corner for corner; they could never win a tie, and are
+    /// not stored.
     pub repeated: u64,
     /// Vertices of the mesh, unused ones included.
     pub vertices: u64,
-    /// Triangles stored in clusters; the excess over `triangles - collapsed - repeated` is duplication.
+    /// Triangles and spheres stored in clusters; the excess over `triangles + spheres - collapsed - repeated` is
+    /// duplication.
     pub primitives: u32,
     /// Records in the branch segment.
     pub branches: u32,
@@ -56,11 +61,13 @@ pub struct Header {
     pub leaves: u32,
     /// Clusters; the leaves that are not lists.
     pub clusters: u32,
-    /// Bounds of all vertices of the mesh, in world units.
+    /// Bounds of all vertices of the mesh and of all spheres, in world units.
     pub bounds: Bounds,
+    /// What cameras look at, in world units: the bounds, unless the model says otherwise.
+    pub view: Bounds,
     /// Where the grid lies, in grid units.
     pub grid: GridShape,
-    /// Length of a typical triangle edge, in grid units.
+    /// Length of a typical triangle edge, or diameter of a typical sphere, in grid units.
     pub typical_edge: f32,
     /// Grid units are world units times `2^scale_exponent`.
     pub scale_exponent: i32,
@@ -84,9 +91,9 @@ pub struct Segments {
     pub branches: Segment,
     /// Leaves of the grid.
     pub leaves: Segment,
-    /// Clusters of triangles.
+    /// Clusters of triangles and of spheres.
     pub clusters: Segment,
-    /// Number in the mesh of each primitive.
+    /// Number in the model of each primitive.
     pub ids: Segment,
 }
 
@@ -108,9 +115,9 @@ pub enum SegmentKind {
     Branches = 1,
     /// Leaves of the grid.
     Leaves = 2,
-    /// Clusters of triangles.
+    /// Clusters of triangles and of spheres.
     Clusters = 3,
-    /// Original triangle ids.
+    /// Original ids.
     Ids = 4,
 }
 
@@ -143,8 +150,10 @@ pub enum HeaderError {
     },
     /// The page size is no power of two from 4 KB to 2 MB, or does not divide the image.
     PageBytes(u32),
-    /// The scene uses something that this build does not know.
+    /// The scene uses something that this version does not know.
     Needs(u32),
+    /// The scene uses something that was left out of this build.
+    LeftOut(SceneNeeds),
     /// A kind of segment that this build does not know.
     UnknownSegment(u32),
     /// A segment is absent or there twice.
@@ -192,6 +201,10 @@ impl Header {
     }
 
     fn check(&self) -> Result<(), HeaderError> {
+        let left_out = self.needs.without(SceneNeeds::BUILT);
+        if left_out != SceneNeeds::NONE {
+            return Err(HeaderError::LeftOut(left_out));
+        }
         let page = u64::from(self.page_bytes);
         if !self.page_bytes.is_power_of_two()
             || !(PAGE_BYTES_MIN..=PAGE_BYTES_MAX).contains(&self.page_bytes)
@@ -238,6 +251,7 @@ impl Header {
             ("typical edge", self.typical_edge.is_finite() && self.typical_edge >= 0.0),
             ("scale", self.scale_exponent.abs() <= SCALE_EXPONENT_MAX),
             ("bounds", self.bounds.is_proper()),
+            ("view", self.view.is_proper()),
             ("branches", self.branches > 0),
         ];
         checks.into_iter().find(|(_, right)| !right).map_or(Ok(()), |(name, _)| Err(HeaderError::Grid(name)))
@@ -291,6 +305,9 @@ impl fmt::Display for HeaderError {
             Self::Needs(bits) => {
                 write!(f, "the scene uses something this build does not know (bits {bits:#x})")
             }
+            Self::LeftOut(needs) => {
+                write!(f, "the scene needs {needs}, and this build was made without; enable the feature")
+            }
             Self::UnknownSegment(kind) => write!(f, "inconsistent header: segment of unknown kind {kind}"),
             Self::Segment(kind) => write!(f, "inconsistent header: segment {kind} is not there exactly once"),
             Self::SegmentPlace(kind) => {
@@ -308,7 +325,7 @@ impl core::error::Error for HeaderError {}
 pub const MAGIC: [u8; 8] = *b"MEMSAVVY";
 
 /// Version of the format that this build reads and writes.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// Length of the header in bytes; the rest of page 0 is zero.
 pub const HEADER_BYTES: usize = size_of::<RawHeader>();

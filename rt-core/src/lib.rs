@@ -1,4 +1,4 @@
-//! Ray tracing kernels over borrowed memory: rays, a multi-level grid, triangles, shading and tiles.
+//! Ray tracing kernels over borrowed memory: rays, a multi-level grid, triangles, spheres, shading and tiles.
 //!
 //! The crate allocates nothing, does no input or output, knows no clock and keeps no globals. It reads a
 //! *scene image*, the bytes that `memsavvy prepare` writes, through one small trait, [`SceneMemory`]; where
@@ -7,9 +7,14 @@
 //!
 //! # The path of a ray
 //! [`SceneView::new`] checks the header of an image once. [`SceneView::nearest`] brings a [`Ray`] into the
-//! image's own units ([`scale`]), walks the grid front to back ([`walk`]), tests the triangles of the
-//! clusters it meets ([`cluster`], [`triangle_woop`]) and answers with a [`Hit`]. [`render_tile`] does so for
+//! image's own units ([`scale`]), walks the grid front to back ([`walk`]), tests the triangles and spheres of the
+//! clusters it meets ([`cluster`], [`triangle_woop`], [`sphere`]) and answers with a [`Hit`]. [`render_tile`] does so for
 //! the rays of one tile of a [`Frame`], with a hard shadow each.
+//!
+//! # What a scene does not need
+//! A scene of triangles runs no instruction for spheres, nor the other way round ([`kinds`]). The features
+//! `triangles` and `spheres`, both on by default, remove a kind from the binary altogether; an image that needs
+//! what was left out is refused by its header.
 //!
 //! Embedders also find [any hits](SceneView::any), [packets of 16 rays](SceneView::nearest16) under a mask,
 //! [filters](SceneView::nearest_filtered) that pass hits through, and [other triangle tests](triangle_test).
@@ -59,6 +64,7 @@ pub mod grid;
 pub mod grid_ray;
 pub mod image;
 mod kernel;
+pub mod kinds;
 mod memory;
 mod needs;
 mod packet;
@@ -67,6 +73,8 @@ pub mod scale;
 pub mod schedule;
 pub mod shade;
 mod simd;
+pub mod sphere;
+pub mod surface;
 mod tile;
 pub mod triangle_f64;
 pub mod triangle_moller;

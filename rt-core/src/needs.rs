@@ -2,9 +2,10 @@
 
 use core::fmt;
 
-/// Set of the features that a scene image uses; a reader refuses an image with a bit that it does not know.
+/// Set of the features that a scene image uses; a reader refuses an image with a bit that it does not know, or
+/// with a feature that was left out of its build.
 ///
-/// So far there are triangles only. Spheres, volumes, normals and several geometries take the next bits.
+/// So far there are triangles and spheres. Volumes, normals and several geometries take the next bits.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct SceneNeeds(u32);
 
@@ -13,9 +14,18 @@ impl SceneNeeds {
     pub const NONE: Self = Self(0);
     /// Triangles in clusters.
     pub const TRIANGLES: Self = Self(1);
+    /// Spheres in clusters.
+    pub const SPHERES: Self = Self(1 << 1);
 
-    /// Every feature that this build knows.
-    pub const KNOWN: Self = Self::TRIANGLES;
+    /// Every feature that this version knows.
+    pub const KNOWN: Self = Self::TRIANGLES.with(Self::SPHERES);
+
+    /// Every feature that this build can trace, as the features of the crate say.
+    pub const BUILT: Self = {
+        let triangles = if cfg!(feature = "triangles") { Self::TRIANGLES } else { Self::NONE };
+        let spheres = if cfg!(feature = "spheres") { Self::SPHERES } else { Self::NONE };
+        triangles.with(spheres)
+    };
 
     /// The set with these bits, or `None` when one of them is unknown.
     pub const fn from_bits(bits: u32) -> Option<Self> {
@@ -37,11 +47,22 @@ impl SceneNeeds {
     pub const fn with(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
+
+    /// What is in this set and not in the other.
+    #[must_use]
+    pub const fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
 }
 
 impl fmt::Display for SceneNeeds {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(if self.contains(Self::TRIANGLES) { "triangles" } else { "nothing" })
+        f.write_str(match (self.contains(Self::TRIANGLES), self.contains(Self::SPHERES)) {
+            (true, true) => "triangles and spheres",
+            (true, false) => "triangles",
+            (false, true) => "spheres",
+            (false, false) => "nothing",
+        })
     }
 }
 
@@ -58,7 +79,15 @@ mod tests {
     #[test]
     fn an_unknown_bit_is_refused() {
         assert_eq!(SceneNeeds::from_bits(1), Some(SceneNeeds::TRIANGLES));
+        assert_eq!(SceneNeeds::from_bits(3), Some(SceneNeeds::KNOWN));
         assert_eq!(SceneNeeds::from_bits(1 << 31), None);
         assert!(SceneNeeds::NONE.with(SceneNeeds::TRIANGLES).contains(SceneNeeds::TRIANGLES));
+    }
+
+    #[test]
+    fn what_is_left_out_is_what_is_needed_and_not_built() {
+        let needs = SceneNeeds::KNOWN;
+        assert_eq!(needs.without(SceneNeeds::TRIANGLES), SceneNeeds::SPHERES);
+        assert_eq!(needs.without(needs), SceneNeeds::NONE);
     }
 }

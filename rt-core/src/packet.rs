@@ -29,13 +29,13 @@ pub struct Packet16 {
 pub struct Hits16 {
     /// Distances, in lengths of the rays' directions.
     pub t: [f32; 16],
-    /// Weights of the triangles' second corners.
+    /// Weights of the triangles' second corners; 0 on spheres.
     pub u: [f32; 16],
-    /// Weights of the third corners.
+    /// Weights of the third corners; 0 on spheres.
     pub v: [f32; 16],
     /// Unit normals: x, y and z of each.
     pub normal: [[f32; 16]; 3],
-    /// The triangles' places in the image.
+    /// Places in the image of what was hit.
     pub primitive: [u32; 16],
     /// The rays that hit something, one bit each, ray 0 the lowest.
     pub mask: u16,

@@ -10,7 +10,8 @@ use glam::Vec3;
 /// # Edge cases
 /// A ray misses everything when its direction is zero, when a component of origin or direction is NaN or
 /// infinite, when `t_max` is NaN or not above 0 (infinity is fine), or when its origin lies 2^60 scene sizes
-/// away. A ray that starts on a triangle does not hit that triangle.
+/// away. A ray that starts on a triangle does not hit that triangle; one that starts on a sphere may hit its
+/// other side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
     /// Where the ray starts.
@@ -21,25 +22,26 @@ pub struct Ray {
     pub t_max: f32,
 }
 
-/// Place of a triangle in the address order of the scene image, in `0..header.primitives`.
+/// Place of a triangle or sphere in the address order of the scene image, in `0..header.primitives`.
 ///
-/// A triangle that is stored in several cells has several places; see
-/// [`original_id`](crate::SceneView::original_id) for the number it had in the mesh.
+/// What is stored in several cells has several places; see [`original_id`](crate::SceneView::original_id) for
+/// the number it had in the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Primitive(pub u32);
 
-/// Where a ray meets a triangle.
+/// Where a ray meets a triangle or a sphere.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// Distance from the ray's origin, in lengths of its direction.
     pub t: f32,
-    /// Weight of the triangle's second corner: the hit is `(1 - u - v) * a + u * b + v * c`.
+    /// Weight of the triangle's second corner: the hit is `(1 - u - v) * a + u * b + v * c`. 0 on a sphere.
     pub u: f32,
-    /// Weight of the third corner.
+    /// Weight of the third corner. 0 on a sphere.
     pub v: f32,
-    /// The triangle, or one of the places where it is stored.
+    /// The triangle or sphere, or one of the places where it is stored.
     pub primitive: Primitive,
-    /// Unit normal of the triangle's plane; the corners run counter-clockwise seen from its tip.
+    /// Unit normal of the triangle's plane; the corners run counter-clockwise seen from its tip. Outwards on a
+    /// sphere.
     ///
     /// A triangle whose area is exactly 0 has none (rounding may still let a ray hit it): then this is
     /// against the ray.

@@ -69,7 +69,7 @@ pub fn byte(grey: f32) -> u8 {
     byte
 }
 
-fn difference(to: Vec3, from: Vec3) -> [f64; 3] {
+pub(crate) fn difference(to: Vec3, from: Vec3) -> [f64; 3] {
     [0, 1, 2].map(|axis| f64::from(to[axis]) - f64::from(from[axis]))
 }
 
@@ -77,7 +77,7 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-fn unit([x, y, z]: [f64; 3]) -> Vec3 {
+pub(crate) fn unit([x, y, z]: [f64; 3]) -> Vec3 {
     // Differences of coordinates are 0 or at least 2^-149, their products' squares at least 2^-596: no underflow.
     let per_length = 1.0 / libm::sqrt(x * x + y * y + z * z);
     #[expect(clippy::cast_possible_truncation, reason = "rounding to single precision is the result")]

@@ -7,6 +7,7 @@ use crate::count::{Count, TileCounts};
 use crate::frame::Frame;
 use crate::grid_ray::GridRay;
 use crate::kernel::Kernel;
+use crate::kinds::{ForKinds, Kinds, dispatch};
 use crate::memory::SceneMemory;
 use crate::scale::Scale;
 use crate::shade::{self, LitPoint};
@@ -86,7 +87,8 @@ impl Tile {
 /// Draws one tile: a grey byte per pixel, row by row, into `pixels`.
 ///
 /// Each pixel is one ray from the eye, flat shading, and a hard shadow of the point light. The bytes depend
-/// on the scene and the frame alone, not on the kernel. Beams take some 60 KB of stack.
+/// on the scene and the frame alone, not on the kernel. Beams take some 60 KB of stack. They know triangles only: a
+/// scene with spheres is drawn by rays.
 ///
 /// # Edge cases
 /// A pixel whose rays end in [`Damaged`] shows the background and is counted.
@@ -103,15 +105,35 @@ pub fn render_tile<M: SceneMemory, C: Count>(
 ) -> TileCounts {
     assert_eq!(pixels.len(), tile.pixels(), "the pixels lent do not fit the tile");
     let view = TileView::new(scene, frame);
-    let by_beams = match kernel {
-        Kernel::Beams(lanes) => beam::draw(lanes, &view, tile, pixels, work),
-        Kernel::Rays => None,
-    };
-    by_beams.unwrap_or_else(|| draw_by_rays(&view, tile, pixels, work))
+    dispatch(scene.header().needs, DrawTile { view: &view, tile, kernel, pixels, work })
+}
+
+/// A tile, and how to draw it.
+struct DrawTile<'a, M, C> {
+    view: &'a TileView<'a, M>,
+    tile: Tile,
+    kernel: Kernel,
+    pixels: &'a mut [u8],
+    work: &'a mut C,
+}
+
+impl<M: SceneMemory, C: Count> ForKinds for DrawTile<'_, M, C> {
+    type Output = TileCounts;
+
+    fn run<K: Kinds>(self) -> TileCounts {
+        let Self { view, tile, kernel, pixels, work } = self;
+        let by_beams = match kernel {
+            Kernel::Beams(lanes) if K::TRIANGLES && !K::SPHERES => {
+                beam::draw(lanes, view, tile, pixels, work)
+            }
+            _ => None,
+        };
+        by_beams.unwrap_or_else(|| draw_by_rays::<M, C, K>(view, tile, pixels, work))
+    }
 }
 
 /// Draws a tile one ray after the other.
-fn draw_by_rays<M: SceneMemory, C: Count>(
+fn draw_by_rays<M: SceneMemory, C: Count, K: Kinds>(
     view: &TileView<'_, M>,
     tile: Tile,
     pixels: &mut [u8],
@@ -123,7 +145,7 @@ fn draw_by_rays<M: SceneMemory, C: Count>(
         let row_direction = frame.camera.row(tile.y + y);
         for (x, pixel) in (0_u32..).zip(row) {
             let direction = frame.camera.direction(row_direction, tile.x + x);
-            let grey = painter.grey((x as usize, y as usize), direction).unwrap_or_else(|_| {
+            let grey = painter.grey::<K>((x as usize, y as usize), direction).unwrap_or_else(|_| {
                 painter.counts.damaged += 1;
                 shade::BACKGROUND
             });
@@ -191,20 +213,20 @@ struct Painter<'a, M, C> {
 impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
     /// Grey of the pixel at `(x, y)` of the tile, whose ray goes along `direction`.
     #[inline]
-    fn grey(&mut self, (x, y): (usize, usize), direction: Vec3) -> Result<f32, Damaged> {
+    fn grey<K: Kinds>(&mut self, (x, y): (usize, usize), direction: Vec3) -> Result<f32, Damaged> {
         let &TileView { scene, eye, light, shadow_offset, .. } = self.view;
         self.counts.primary += 1;
         // In grid units throughout: `t` here is in grid lengths of the direction.
         let Some(ray) = GridRay::new(eye, direction, f32::INFINITY, Scale::ONE, &scene.header().grid) else {
             return Ok(shade::BACKGROUND);
         };
-        let nearest = walk::<M, C, false>(scene, &ray, self.work)?;
-        let Some(hit) = ray.hit(&nearest) else { return Ok(shade::BACKGROUND) };
+        let nearest = walk::<M, C, K, false>(scene, &ray, self.work)?;
+        let Some(hit) = ray.hit::<K>(&nearest) else { return Ok(shade::BACKGROUND) };
         self.counts.hits += 1;
         self.depths.block(y / 4 * 4 + x / 4)[y % 4 * 4 + x % 4] = hit.t;
         let at = eye + direction * hit.t;
         match LitPoint::new(at, hit.normal, direction, light, shadow_offset) {
-            Some(point) if !self.view.frame.has_shadows() || self.reaches_light(&point)? => {
+            Some(point) if !self.view.frame.has_shadows() || self.reaches_light::<K>(&point)? => {
                 Ok(point.lit_grey())
             }
             _ => Ok(shade::SHADOW),
@@ -212,11 +234,11 @@ impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
     }
 
     #[inline]
-    fn reaches_light(&mut self, point: &LitPoint) -> Result<bool, Damaged> {
+    fn reaches_light<K: Kinds>(&mut self, point: &LitPoint) -> Result<bool, Damaged> {
         self.counts.shadow += 1;
         let scene = self.view.scene;
         let blocked = match GridRay::new(point.point, point.to_light, 1.0, Scale::ONE, &scene.header().grid) {
-            Some(ray) => walk::<M, C, true>(scene, &ray, self.work)?.triangle.is_some(),
+            Some(ray) => walk::<M, C, K, true>(scene, &ray, self.work)?.surface.is_some(),
             None => false,
         };
         self.counts.lit += u64::from(!blocked);

@@ -20,7 +20,6 @@ use crate::memory::SceneMemory;
 use crate::ray::{Hit, Ray};
 use crate::triangle_woop::{Crossing, WoopRay};
 use crate::view::{Damaged, SceneView};
-use crate::walk::walk_with;
 
 /// A ray prepared for one way of testing triangles.
 pub trait TriangleTest: Copy + fmt::Debug {
@@ -46,7 +45,7 @@ pub trait TriangleTest: Copy + fmt::Debug {
         for index in 0..usize::from(cluster.place().triangles) {
             let (primitive, corners) = (cluster.primitive(index), cluster.triangle(index));
             if let Some(crossing) = self.intersect(corners, nearest.crossing.t)
-                && filter.accepts(&crossing, primitive, corners)
+                && filter.accepts(&crossing, primitive, &corners.into())
             {
                 nearest.offer(crossing, primitive, corners);
                 if ANY {
@@ -79,8 +78,19 @@ impl TriangleTest for WoopRay {
     }
 }
 
+/// Hits nothing: for kernels that trace no triangles.
+impl TriangleTest for () {
+    #[inline]
+    fn new(_: Vec3, _: Vec3) -> Self {}
+
+    #[inline]
+    fn intersect(&self, _: [Vec3; 3], _: f32) -> Option<Crossing> {
+        None
+    }
+}
+
 impl<M: SceneMemory> SceneView<M> {
-    /// The nearest hit of a ray by the triangle test `T`; as [`nearest`](Self::nearest) otherwise.
+    /// The nearest hit of a ray by the triangle test `T`, spheres as ever; as [`nearest`](Self::nearest) otherwise.
     ///
     /// The grid is walked with the allowances of [`walk`](crate::walk), which are proved for
     /// [`WoopRay`] and hold for a test at least as exact. A test that errs by
@@ -105,16 +115,16 @@ impl<M: SceneMemory> SceneView<M> {
         ray: &Ray,
         count: &mut C,
     ) -> Result<Option<Hit>, Damaged> {
-        let Some(ray) = GridRay::<T>::for_test(ray, self.header()) else { return Ok(None) };
-        Ok(ray.hit(&walk_with::<M, T, (), C, false>(self, &ray, &mut (), count)?))
+        let Some(ray) = GridRay::from_world(ray, self.header()) else { return Ok(None) };
+        self.nearest_with::<T, _, _>(&ray, &mut (), count)
     }
 
-    /// Whether a ray hits anything by the triangle test `T`.
+    /// Whether a ray hits anything by the triangle test `T`, spheres as ever.
     ///
     /// # Errors
     /// [`Damaged`] when the image lies or a page cannot be had.
     pub fn any_by<T: TriangleTest, C: Count>(&self, ray: &Ray, count: &mut C) -> Result<bool, Damaged> {
-        let Some(ray) = GridRay::<T>::for_test(ray, self.header()) else { return Ok(false) };
-        Ok(walk_with::<M, T, (), C, true>(self, &ray, &mut (), count)?.triangle.is_some())
+        let Some(ray) = GridRay::from_world(ray, self.header()) else { return Ok(false) };
+        self.any_with::<T, _, _>(&ray, &mut (), count)
     }
 }

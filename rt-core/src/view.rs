@@ -1,14 +1,19 @@
 //! A scene image that kernels may read: bytes with a checked header.
 
 use core::fmt;
+use core::marker::PhantomData;
 
 use crate::count::Count;
-use crate::grid::{BRANCH_BYTES, Branch, ClusterRef, LEAF_BYTES, Leaf};
+use crate::filter::Filter;
+use crate::grid::{BRANCH_BYTES, Branch, ClusterRef, LEAF_BYTES, Leaf, SpheresRef};
 use crate::grid_ray::GridRay;
 use crate::image::{HEADER_BYTES, Header, HeaderError};
+use crate::kinds::{ForKinds, Kinds, dispatch};
 use crate::memory::SceneMemory;
 use crate::ray::{Hit, Primitive, Ray};
-use crate::walk::walk;
+use crate::triangle_test::TriangleTest;
+use crate::triangle_woop::WoopRay;
+use crate::walk::walk_with;
 
 /// A scene image with a checked header: what kernels trace.
 ///
@@ -53,16 +58,16 @@ impl<M: SceneMemory> SceneView<M> {
 
     /// The nearest hit of a ray, or `None` when it misses everything.
     ///
-    /// The answer is that of testing every triangle of the image, whatever the ray; see [`walk`](crate::walk)
-    /// for why. Among triangles hit at the same `t` the one with the lowest corners wins, then the one with
-    /// the lowest place.
+    /// The answer is that of testing every triangle and sphere of the image, whatever the ray; see
+    /// [`walk`](crate::walk) for why, and [`Nearest`](crate::cluster::Nearest) for which of several at the same
+    /// `t` it is.
     ///
     /// # Errors
     /// [`Damaged`] when the image lies or a page cannot be had.
     #[inline]
     pub fn nearest<C: Count>(&self, ray: &Ray, count: &mut C) -> Result<Option<Hit>, Damaged> {
         let Some(ray) = GridRay::from_world(ray, &self.header) else { return Ok(None) };
-        Ok(ray.hit(&walk::<M, C, false>(self, &ray, count)?))
+        self.nearest_with::<WoopRay, _, _>(&ray, &mut (), count)
     }
 
     /// Whether a ray hits anything.
@@ -72,11 +77,41 @@ impl<M: SceneMemory> SceneView<M> {
     #[inline]
     pub fn any<C: Count>(&self, ray: &Ray, count: &mut C) -> Result<bool, Damaged> {
         let Some(ray) = GridRay::from_world(ray, &self.header) else { return Ok(false) };
-        Ok(walk::<M, C, true>(self, &ray, count)?.triangle.is_some())
+        self.any_with::<WoopRay, _, _>(&ray, &mut (), count)
     }
 
-    /// Number that a triangle had in the mesh, or `None` when there is no such primitive. Reads the ids
-    /// segment.
+    /// The nearest hit with a choice of triangle test and filter.
+    #[inline]
+    pub(crate) fn nearest_with<T: TriangleTest, F: Filter, C: Count>(
+        &self,
+        ray: &GridRay,
+        filter: &mut F,
+        count: &mut C,
+    ) -> Result<Option<Hit>, Damaged> {
+        dispatch(
+            self.header.needs,
+            Trace::<_, T, _, _, false> { scene: self, ray, filter, count, test: PhantomData },
+        )
+    }
+
+    /// Whether there is any hit, with a choice of triangle test and filter.
+    #[inline]
+    pub(crate) fn any_with<T: TriangleTest, F: Filter, C: Count>(
+        &self,
+        ray: &GridRay,
+        filter: &mut F,
+        count: &mut C,
+    ) -> Result<bool, Damaged> {
+        dispatch(
+            self.header.needs,
+            Trace::<_, T, _, _, true> { scene: self, ray, filter, count, test: PhantomData },
+        )
+    }
+
+    /// Number that a triangle or sphere had in the model, or `None` when there is no such primitive. Reads the
+    /// ids segment.
+    ///
+    /// The triangles are numbered first, from 0; the spheres follow them, from `header.triangles` on.
     pub fn original_id(&self, Primitive(index): Primitive) -> Option<u32> {
         if index >= self.header.primitives {
             return None;
@@ -126,19 +161,61 @@ impl<M: SceneMemory> SceneView<M> {
         bytemuck::try_pod_read_unaligned(&record).map_err(|_| damaged)
     }
 
-    /// The bytes of a cluster, for [`Cluster::new`](crate::cluster::Cluster::new).
+    /// The bytes of a cluster of triangles, for [`Cluster::new`](crate::cluster::Cluster::new).
     ///
     /// # Errors
     /// [`Damaged::Cluster`].
     #[inline]
     pub fn cluster(&self, place: &ClusterRef) -> Result<M::Record<'_>, Damaged> {
-        let damaged = Damaged::Cluster { offset: place.offset };
+        self.record_of_cluster(place.offset, crate::cluster::cluster_bytes(place.vertices, place.triangles))
+    }
+
+    /// The bytes of a cluster of spheres, for [`SphereCluster::new`](crate::sphere::SphereCluster::new).
+    ///
+    /// # Errors
+    /// [`Damaged::Cluster`].
+    #[inline]
+    pub fn spheres(&self, place: &SpheresRef) -> Result<M::Record<'_>, Damaged> {
+        self.record_of_cluster(place.offset, crate::sphere::spheres_bytes(place.count))
+    }
+
+    #[inline]
+    fn record_of_cluster(&self, offset: u64, length: usize) -> Result<M::Record<'_>, Damaged> {
+        let damaged = Damaged::Cluster { offset };
         let segment = &self.header.segments.clusters;
-        let length = crate::cluster::cluster_bytes(place.vertices, place.triangles);
-        if place.offset + length as u64 > segment.bytes {
+        if offset + length as u64 > segment.bytes {
             return Err(damaged);
         }
-        self.memory.record(segment.offset + place.offset, length).ok_or(damaged)
+        self.memory.record(segment.offset + offset, length).ok_or(damaged)
+    }
+}
+
+/// A ray and how to trace it: for its nearest hit, or with `ANY` for whether there is one.
+struct Trace<'a, M, T, F, C, const ANY: bool> {
+    scene: &'a SceneView<M>,
+    ray: &'a GridRay,
+    filter: &'a mut F,
+    count: &'a mut C,
+    test: PhantomData<T>,
+}
+
+impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> ForKinds for Trace<'_, M, T, F, C, false> {
+    type Output = Result<Option<Hit>, Damaged>;
+
+    #[inline]
+    fn run<K: Kinds>(self) -> Self::Output {
+        let Self { scene, ray, filter, count, .. } = self;
+        Ok(ray.hit::<K>(&walk_with::<M, T, F, C, K, false>(scene, ray, filter, count)?))
+    }
+}
+
+impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> ForKinds for Trace<'_, M, T, F, C, true> {
+    type Output = Result<bool, Damaged>;
+
+    #[inline]
+    fn run<K: Kinds>(self) -> Self::Output {
+        let Self { scene, ray, filter, count, .. } = self;
+        Ok(walk_with::<M, T, F, C, K, true>(scene, ray, filter, count)?.surface.is_some())
     }
 }
 

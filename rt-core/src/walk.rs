@@ -7,7 +7,7 @@
 //! all of it, and the rest of the run's bits are cleared. Once something is hit, cells and boxes entered
 //! later are skipped.
 //!
-//! # Why it agrees with testing every triangle
+//! # Why it agrees with testing every triangle and sphere
 //! Cells are padded by the slack, and all intervals by a *rounding allowance* on top, per axis. Let `e =
 //! 2^-24`, and let `reach` be `|origin - grid origin| + size` on that axis: no corner of a triangle or cell
 //! is farther from the ray's origin. When the triangle test reports a hit at `t`, its exact weights belong to
@@ -29,36 +29,42 @@
 //! sizes it is larger than the scene, and on that axis nothing is culled any more; slow, never wrong.
 //!
 //! A direction component below 2^-60 of the largest is culled as if it were that; over the reach it moves the
-//! ray by less than `2^-59 reach`, which is added to the allowance. (The triangle test sees the true
-//! component.)
+//! ray by less than `2^-59 reach`. (The triangle test sees the true component.) A hit of a sphere is off by
+//! `2^-47` of the largest reach (see [`sphere`](crate::sphere)), the rounding of its `t` by `e reach` along each
+//! axis, and then 3 and 4 apply: 25 of the 64. The allowance has `2^-46` of the largest reach on top, for both.
 
 use glam::Vec3;
 
 use crate::cluster::{Cluster, Nearest};
 use crate::count::Count;
 use crate::filter::Filter;
-use crate::grid::{BoxFrame, Branch, ClusterRef, LEVELS_MAX, LeafContent, cell_coordinates, flip_cells};
+use crate::grid::{
+    BoxFrame, Branch, ClusterRef, LEVELS_MAX, LeafContent, SpheresRef, cell_coordinates, flip_cells,
+};
 use crate::grid_ray::GridRay;
 use crate::image::Header;
+use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
+use crate::sphere::SphereCluster;
 use crate::triangle_test::TriangleTest;
 use crate::triangle_woop::WoopRay;
 use crate::view::{Damaged, SceneView};
 
-/// Finds the nearest hit of `ray`, or with `ANY` some hit.
+/// Finds the nearest hit of `ray`, or with `ANY` some hit, among primitives of the kinds `K`.
 ///
 /// # Bounds
 /// At most as many branches and leaves are read as the image has, and no branch below its last level.
 ///
 /// # Errors
-/// [`Damaged`] at the first index or record that cannot be, or when a bound is reached.
+/// [`Damaged`] at the first index or record that cannot be, a cluster of another kind included, or when a bound
+/// is reached.
 #[inline]
-pub fn walk<M: SceneMemory, C: Count, const ANY: bool>(
+pub fn walk<M: SceneMemory, C: Count, K: Kinds, const ANY: bool>(
     scene: &SceneView<M>,
     ray: &GridRay,
     count: &mut C,
 ) -> Result<Nearest, Damaged> {
-    walk_with::<M, WoopRay, (), C, ANY>(scene, ray, &mut (), count)
+    walk_with::<M, WoopRay, (), C, K, ANY>(scene, ray, &mut (), count)
 }
 
 /// As [`walk`], with any triangle test, and only hits that `filter` accepts.
@@ -66,22 +72,24 @@ pub fn walk<M: SceneMemory, C: Count, const ANY: bool>(
 /// # Errors
 /// As [`walk`].
 #[inline]
-pub fn walk_with<M: SceneMemory, T: TriangleTest, F: Filter, C: Count, const ANY: bool>(
+pub fn walk_with<M: SceneMemory, T: TriangleTest, F: Filter, C: Count, K: Kinds, const ANY: bool>(
     scene: &SceneView<M>,
-    ray: &GridRay<T>,
+    ray: &GridRay,
     filter: &mut F,
     count: &mut C,
 ) -> Result<Nearest, Damaged> {
     let (nearest, budget) = (Nearest::none(ray.t_max()), Budget::of(scene.header()));
-    let mut walk = Walk { scene, ray, filter, count, nearest, budget };
-    walk.run::<ANY>()?;
+    let mut walk = Walk { scene, ray, test: ray.test::<K::Test<T>>(), filter, count, nearest, budget };
+    walk.run::<K, ANY>()?;
     Ok(walk.nearest)
 }
 
 /// A walk under way.
 struct Walk<'a, M, T, F, C> {
     scene: &'a SceneView<M>,
-    ray: &'a GridRay<T>,
+    ray: &'a GridRay,
+    /// The ray as the triangle test wants it.
+    test: T,
     filter: &'a mut F,
     count: &'a mut C,
     nearest: Nearest,
@@ -119,7 +127,7 @@ impl Visit {
 }
 
 impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, M, T, F, C> {
-    fn run<const ANY: bool>(&mut self) -> Result<(), Damaged> {
+    fn run<K: Kinds, const ANY: bool>(&mut self) -> Result<(), Damaged> {
         let grid = self.scene.header().grid;
         let mut visit = self.enter(0, grid.origin, grid.size * 0.25)?;
         let mut above = [visit; LEVELS_MAX];
@@ -147,8 +155,8 @@ impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, M, T, F, C> 
                 visit = self.enter(child, corner, visit.cell * 0.25)?;
             } else {
                 visit.left &= !flip_cells(visit.branch.run_of(cell), self.ray.flip());
-                self.visit_run::<ANY>(&visit, cell)?;
-                if ANY && self.nearest.triangle.is_some() {
+                self.visit_run::<K, ANY>(&visit, cell)?;
+                if ANY && self.nearest.surface.is_some() {
                     return Ok(());
                 }
             }
@@ -158,7 +166,7 @@ impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, M, T, F, C> 
     /// Whether the ray enters a cell only behind the nearest hit.
     #[inline]
     fn is_hidden(&self, corner: Vec3, cell: f32) -> bool {
-        self.nearest.triangle.is_some() && self.ray.t_enter(corner, cell) > self.nearest.crossing.t
+        self.nearest.surface.is_some() && self.ray.t_enter(corner, cell) > self.nearest.crossing.t
     }
 
     /// Reads a branch and culls its cells.
@@ -174,21 +182,26 @@ impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, M, T, F, C> 
 
     /// Tests what the run of `cell` holds.
     #[inline]
-    fn visit_run<const ANY: bool>(&mut self, visit: &Visit, cell: u32) -> Result<(), Damaged> {
+    fn visit_run<K: Kinds, const ANY: bool>(&mut self, visit: &Visit, cell: u32) -> Result<(), Damaged> {
         let leaf = visit.branch.leaf_of(cell).ok_or(Damaged::Leaf(u32::MAX))?;
-        match self.visit_leaf::<ANY>(visit, leaf)? {
-            None | Some(LeafContent::Cluster(_)) => Ok(()),
-            Some(LeafContent::List { first, count }) => self.visit_list::<ANY>(visit, first, count),
+        match self.visit_leaf::<K, ANY>(visit, leaf)? {
+            None | Some(LeafContent::Cluster(_) | LeafContent::Spheres(_)) => Ok(()),
+            Some(LeafContent::List { first, count }) => self.visit_list::<K, ANY>(visit, first, count),
         }
     }
 
     /// Tests the leaves of a list, which hold a cluster each.
-    fn visit_list<const ANY: bool>(&mut self, visit: &Visit, first: u32, count: u32) -> Result<(), Damaged> {
+    fn visit_list<K: Kinds, const ANY: bool>(
+        &mut self,
+        visit: &Visit,
+        first: u32,
+        count: u32,
+    ) -> Result<(), Damaged> {
         for leaf in first..first.checked_add(count).ok_or(Damaged::Leaf(first))? {
-            if let Some(LeafContent::List { .. }) = self.visit_leaf::<ANY>(visit, leaf)? {
+            if let Some(LeafContent::List { .. }) = self.visit_leaf::<K, ANY>(visit, leaf)? {
                 return Err(Damaged::Leaf(leaf));
             }
-            if ANY && self.nearest.triangle.is_some() {
+            if ANY && self.nearest.surface.is_some() {
                 break;
             }
         }
@@ -198,7 +211,7 @@ impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, M, T, F, C> 
     /// Tests the cluster of a leaf whose box the ray enters, and tells what the leaf holds; `None` when it
     /// passes by the box.
     #[inline]
-    fn visit_leaf<const ANY: bool>(
+    fn visit_leaf<K: Kinds, const ANY: bool>(
         &mut self,
         visit: &Visit,
         index: u32,
@@ -210,8 +223,11 @@ impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, M, T, F, C> 
             return Ok(None);
         }
         let content = leaf.content().ok_or(Damaged::Leaf(index))?;
-        if let LeafContent::Cluster(place) = &content {
-            self.visit_cluster::<ANY>(place)?;
+        match &content {
+            LeafContent::Cluster(place) if K::TRIANGLES => self.visit_cluster::<ANY>(place)?,
+            LeafContent::Spheres(place) if K::SPHERES => self.visit_spheres::<ANY>(place)?,
+            LeafContent::List { .. } => {}
+            _ => return Err(Damaged::Leaf(index)),
         }
         Ok(Some(content))
     }
@@ -220,7 +236,16 @@ impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, M, T, F, C> 
     fn visit_cluster<const ANY: bool>(&mut self, place: &ClusterRef) -> Result<(), Damaged> {
         let record = self.scene.cluster(place)?;
         let cluster = Cluster::new(&record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
-        self.ray.test().intersect_cluster::<ANY>(&cluster, &mut self.nearest, self.filter, self.count);
+        self.test.intersect_cluster::<ANY>(&cluster, &mut self.nearest, self.filter, self.count);
+        Ok(())
+    }
+
+    #[inline]
+    fn visit_spheres<const ANY: bool>(&mut self, place: &SpheresRef) -> Result<(), Damaged> {
+        let record = self.scene.spheres(place)?;
+        let cluster = SphereCluster::new(&record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
+        let ray = self.ray.sphere_ray();
+        cluster.intersect_filtered::<ANY>(&ray, &mut self.nearest, self.filter, self.count);
         Ok(())
     }
 }

@@ -67,6 +67,6 @@ fn an_idle_packet_and_one_of_no_rays_hit_nothing() {
         assert_eq!(scene.nearest16(&packet, active, &mut ()), Ok(Hits16::NONE));
         assert_eq!(scene.any16(&packet, active, &mut ()), Ok(0));
     }
-    assert_eq!(scene.geometry_id(Primitive(0)), Some(GeometryId::FIRST));
+    assert_eq!(scene.geometry_id(Primitive(0)), Some(GeometryId::TRIANGLES));
     assert_eq!(scene.geometry_id(Primitive(u32::MAX)), None);
 }

@@ -192,7 +192,7 @@ fn triangles_without_area_do_no_harm() {
 fn all_triangles_in_one_point_are_refused_by_name_and_with_company_left_out() {
     let point = soup(vec![[[0.1, 0.2, 0.3]; 3]; 100_000]);
     let refused = build(point.clone(), &BuildOptions::default(), &|_| {}).map(|_| ());
-    assert_eq!(refused, Err(BuildError::AllCollapsed { triangles: 100_000 }));
+    assert_eq!(refused, Err(BuildError::AllCollapsed { triangles: 100_000, spheres: 0 }));
     let scene = Scene::new(joined(point, &shapes::cube()));
     assert_eq!((scene.view().header().collapsed, scene.view().header().primitives), (100_000, 12));
     assert_eq!(scene.trace(&ray([0.1, 0.2, 5.0], [0.0, 0.0, -1.0])).map(|hit| hit.t), Some(4.0));

@@ -9,7 +9,13 @@ use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::grid::{BRANCH_BYTES, Branch, LEAF_BYTES, Leaf};
 use rt_core::{Damaged, Flat, Ray, SceneMemory, SceneView, WorkCounts, brute};
-use scene::builtin;
+use scene::{BuildOptions, build, builtin};
+
+/// An image with clusters of triangles, of spheres, and lists of both.
+fn image_of_a_sphereflake() -> Vec<u8> {
+    let scene = build(builtin::sphereflake(3), &BuildOptions::default(), &|_| {}).expect("builds");
+    scene.to_bytes(4096).expect("fits")
+}
 
 /// Traces some rays, and checks the bounds of their work.
 fn trace(bytes: &[u8]) -> usize {
@@ -30,7 +36,7 @@ fn trace(bytes: &[u8]) -> usize {
                 work.branches <= u64::from(header.branches) && work.leaves <= u64::from(header.leaves),
                 "{work:?}"
             );
-            assert!(work.triangles <= u64::from(header.leaves) * 64, "{work:?}");
+            assert!(work.triangles + work.spheres <= u64::from(header.leaves) * 64, "{work:?}");
         }
     }
     damaged
@@ -40,8 +46,10 @@ proptest! {
     #[test]
     fn flipped_bytes_do_no_harm(
         flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..200),
+        spheres in any::<bool>(),
     ) {
-        let mut bytes = image(&builtin::knot(3000), 0.5, 4096);
+        let mut bytes =
+            if spheres { image_of_a_sphereflake() } else { image(&builtin::knot(3000), 0.5, 4096) };
         for (place, value) in flips {
             let place = 4096 + place.index(bytes.len() - 4096);
             bytes[place] = value;
@@ -54,8 +62,9 @@ proptest! {
     }
 
     #[test]
-    fn random_branches_and_leaves_do_no_harm(seed in any::<u64>()) {
-        let mut bytes = image(&builtin::knot(3000), 0.5, 4096);
+    fn random_branches_and_leaves_do_no_harm(seed in any::<u64>(), spheres in any::<bool>()) {
+        let mut bytes =
+            if spheres { image_of_a_sphereflake() } else { image(&builtin::knot(3000), 0.5, 4096) };
         let end = {
             let scene = SceneView::new(Flat::new(&bytes)).expect("the header is sound");
             usize::try_from(scene.header().segments.clusters.offset).expect("a small image")
@@ -102,6 +111,43 @@ fn lists_of_lists_end() {
         record.copy_from_slice(bytemuck::bytes_of(&everything));
     }
     assert!(trace(&bytes) > 0);
+}
+
+#[test]
+fn a_leaf_of_a_kind_that_the_header_does_not_name_ends_the_ray() {
+    let mut bytes = image(&builtin::knot(3000), 0.5, 4096);
+    let [_, (leaves, count)] = records(&bytes);
+    for record in bytes[leaves..leaves + count * LEAF_BYTES].chunks_exact_mut(LEAF_BYTES) {
+        let leaf: Leaf = bytemuck::pod_read_unaligned(record);
+        record.copy_from_slice(bytemuck::bytes_of(&Leaf { vertices: Leaf::SPHERES, count: 20, ..leaf }));
+    }
+    assert!(trace(&bytes) > 10, "the instance for triangles meets spheres");
+}
+
+#[test]
+fn spheres_of_any_bits_are_no_harm() {
+    let mut bytes = image_of_a_sphereflake();
+    let [_, (leaves, count)] = records(&bytes);
+    // Every leaf a full cluster of spheres, wherever its cluster lies.
+    for record in bytes[leaves..leaves + count * LEAF_BYTES].chunks_exact_mut(LEAF_BYTES) {
+        let leaf: Leaf = bytemuck::pod_read_unaligned(record);
+        record.copy_from_slice(bytemuck::bytes_of(&Leaf { vertices: Leaf::SPHERES, count: 32, ..leaf }));
+    }
+    trace(&bytes);
+    let (start, end) = {
+        let scene = SceneView::new(Flat::new(&bytes)).expect("the header is sound");
+        let clusters = scene.header().segments.clusters;
+        let place = |offset: u64| usize::try_from(offset).expect("a small image");
+        (place(clusters.offset), place(clusters.offset + clusters.bytes))
+    };
+    for value in [f32::NAN, f32::INFINITY, f32::MAX, f32::MIN, -0.0, f32::from_bits(1), 1.0e20] {
+        for (index, float) in bytes[start..end].chunks_exact_mut(4).enumerate() {
+            if index % 3 > 0 {
+                float.copy_from_slice(&value.to_le_bytes());
+            }
+        }
+        trace(&bytes);
+    }
 }
 
 /// Memory whose pages cannot be had after a while.

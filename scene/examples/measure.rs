@@ -5,8 +5,8 @@
 //!     [--radius 1.5,0.75] [--kernels avx512,avx2,portable,rays] [--elevation 0] [--frame 0] [--size 512] [--page 16384] [--slack 0.5]
 //!     [--reps 5] [--loop 5] [--threads 1] [--out PICTURE.png]
 //! ```
-//! Without a mesh, or with a number in its place, the built-in knot is used, of that many triangles. Rays are
-//! traced by one thread, `--threads` is for preparing. Times are best and median over the repetitions.
+//! Without a mesh, or with a number in its place, the built-in knot is used, of that many triangles; with a name
+//! like `sphereflake:3`, that scene. Rays are traced by one thread, `--threads` is for preparing. Times are best and median over the repetitions.
 
 use core::error::Error;
 use std::path::Path;
@@ -14,15 +14,16 @@ use std::time::Instant;
 
 use rt_core::camera::OrbitPlace;
 use rt_core::{Count, Flat, Frame, Kernel, Orbit, SceneView, TileCounts, Tiles, WorkCounts, render_tile};
-use scene::{BuildOptions, Info, Mesh, build, builtin, read_mesh};
+use scene::builtin::{BuiltIn, BuiltInError};
+use scene::{BuildOptions, Info, Model, build, builtin, read_mesh};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let options = Options::from_arguments()?;
     rayon::ThreadPoolBuilder::new().num_threads(options.threads).build_global()?;
     let started = Instant::now();
-    let mesh = options.mesh()?;
-    println!("read       {:>8.3} s  {} triangles", started.elapsed().as_secs_f64(), mesh.triangles.len());
-    let image = prepare(&mesh, &options)?;
+    let model = options.model()?;
+    println!("read       {:>8.3} s  {} primitives", started.elapsed().as_secs_f64(), model.count());
+    let image = prepare(&model, &options)?;
     let scene = SceneView::new(Flat::new(&image))?;
     print_info(&Info::from(scene.header()));
     for &radius in &options.radii {
@@ -33,12 +34,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn prepare(mesh: &Mesh, options: &Options) -> Result<Vec<u8>, Box<dyn Error>> {
+fn prepare(model: &Model, options: &Options) -> Result<Vec<u8>, Box<dyn Error>> {
     let mut builds = Vec::new();
     let mut writes = Vec::new();
     let mut image = Vec::new();
     for _ in 0..options.reps {
-        let copy = mesh.clone();
+        let copy = model.clone();
         let started = Instant::now();
         let scene = build(copy, &BuildOptions { slack: options.slack }, &|_| {})?;
         builds.push(started.elapsed().as_secs_f64());
@@ -46,30 +47,30 @@ fn prepare(mesh: &Mesh, options: &Options) -> Result<Vec<u8>, Box<dyn Error>> {
         writes.push(started.elapsed().as_secs_f64());
     }
     let (build, all) = (best_and_median(&mut builds), best_and_median(&mut writes));
-    let rate = mesh.triangles.len() as f64 / all.0 / 1.0e6;
+    let rate = model.count() as f64 / all.0 / 1.0e6;
     println!("build      {:>8.3} s  (median {:.3})", build.0, build.1);
     println!(
-        "prepare    {:>8.3} s  (median {:.3})  {rate:.2} M triangles/s, {} threads",
+        "prepare    {:>8.3} s  (median {:.3})  {rate:.2} M primitives/s, {} threads",
         all.0, all.1, options.threads
     );
     Ok(image)
 }
 
 fn print_info(info: &Info) {
-    let per_triangle = |bytes: u64| bytes as f64 / info.triangles as f64;
+    let per_primitive = |bytes: u64| bytes as f64 / (info.triangles + info.spheres) as f64;
     println!(
-        "image      {} bytes, {:.2} a triangle, {} pages of {}",
-        info.image_bytes, info.bytes_per_triangle, info.pages, info.page_bytes
+        "image      {} bytes, {:.2} a primitive, {} pages of {}",
+        info.image_bytes, info.bytes_per_primitive, info.pages, info.page_bytes
     );
     for (kind, bytes) in info.segments {
-        println!("  {:<9}{bytes:>10}  {:.2} a triangle", format!("{kind}"), per_triangle(bytes));
+        println!("  {:<9}{bytes:>10}  {:.2} a primitive", format!("{kind}"), per_primitive(bytes));
     }
     println!(
-        "grid       {} levels, {} branches, {} leaves, {} clusters of {:.1} triangles",
-        info.levels, info.branches, info.leaves, info.clusters, info.triangles_per_cluster
+        "grid       {} levels, {} branches, {} leaves, {} clusters of {:.1} primitives",
+        info.levels, info.branches, info.leaves, info.clusters, info.primitives_per_cluster
     );
     println!(
-        "           duplication {:.3}, {} triangles collapsed, {} repeated",
+        "           duplication {:.3}, {} primitives collapsed, {} repeated",
         info.duplication, info.collapsed, info.repeated
     );
 }
@@ -80,7 +81,7 @@ fn measure_rays(
     kernel: Kernel,
     options: &Options,
 ) -> Result<(), Box<dyn Error>> {
-    let orbit = Orbit::around(&scene.header().bounds);
+    let orbit = Orbit::around(&scene.header().view);
     let place = OrbitPlace { radius, elevation: options.elevation, frame: options.frame, frames: 12 };
     let frame = Frame::on_orbit(&orbit, &place, options.size, options.size)?;
     let (mut whole, mut primary) = (Vec::new(), Vec::new());
@@ -124,11 +125,12 @@ fn print_rays(radius: f32, counts: &TileCounts, work: &WorkCounts, whole: (f64, 
     );
     let per_ray = |count: u64| count as f64 / rays;
     println!(
-        "  per ray: {:.2} branches, {:.2} leaves, {:.2} clusters, {:.1} triangles",
+        "  per ray: {:.2} branches, {:.2} leaves, {:.2} clusters, {:.1} triangles, {:.1} spheres",
         per_ray(work.branches),
         per_ray(work.leaves),
         per_ray(work.clusters),
-        per_ray(work.triangles)
+        per_ray(work.triangles),
+        per_ray(work.spheres)
     );
 }
 
@@ -221,13 +223,15 @@ impl Options {
         Ok(options)
     }
 
-    fn mesh(&self) -> Result<Mesh, Box<dyn Error>> {
-        match &self.mesh {
-            None => Ok(builtin::knot(500_000)),
-            Some(name) => match name.parse() {
-                Ok(triangles) => Ok(builtin::knot(triangles)),
-                Err(_) => Ok(read_mesh(Path::new(name))?),
-            },
+    fn model(&self) -> Result<Model, Box<dyn Error>> {
+        let Some(name) = &self.mesh else { return Ok(builtin::knot(500_000).into()) };
+        if let Ok(triangles) = name.parse() {
+            return Ok(builtin::knot(triangles).into());
+        }
+        match name.parse::<BuiltIn>() {
+            Ok(built_in) => Ok(built_in.model()),
+            Err(BuiltInError::Unknown) => Ok(read_mesh(Path::new(name))?.into()),
+            Err(error) => Err(error.into()),
         }
     }
 }

@@ -6,17 +6,20 @@ use rt_core::{Bounds, Header, SceneNeeds};
 /// Facts about a scene image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Info {
-    /// Triangles of the mesh.
+    /// Triangles of the model.
     pub triangles: u64,
-    /// Triangles that no ray can hit, because two corners are the same point; not stored.
+    /// Spheres of the model.
+    pub spheres: u64,
+    /// Triangles that no ray can hit, because two corners are the same point, and spheres without a radius; not
+    /// stored.
     pub collapsed: u64,
-    /// Triangles that repeat an earlier one, corner for corner; not stored.
+    /// Triangles and spheres that repeat an earlier one; not stored.
     pub repeated: u64,
     /// Vertices of the mesh.
     pub vertices: u64,
-    /// Triangles stored, copies in several clusters included.
+    /// Triangles and spheres stored, copies in several clusters included.
     pub stored: u64,
-    /// Stored triangles for each one that can be hit; 1 without copies.
+    /// Stored triangles and spheres for each one that can be hit; 1 without copies.
     pub duplication: f64,
     /// Levels of branches.
     pub levels: u32,
@@ -24,13 +27,15 @@ pub struct Info {
     pub branches: u32,
     /// Leaves of the grid, lists included.
     pub leaves: u32,
-    /// Clusters of triangles.
+    /// Clusters of triangles and of spheres.
     pub clusters: u32,
-    /// Stored triangles per cluster.
-    pub triangles_per_cluster: f64,
-    /// Bounds of all vertices.
+    /// Stored triangles or spheres per cluster.
+    pub primitives_per_cluster: f64,
+    /// Bounds of all vertices and spheres.
     pub bounds: Bounds,
-    /// Length of a typical edge, in world units.
+    /// What cameras look at.
+    pub view: Bounds,
+    /// Length of a typical edge, or diameter of a typical sphere, in world units.
     pub typical_edge: f32,
     /// Page size of the image.
     pub page_bytes: u32,
@@ -40,8 +45,8 @@ pub struct Info {
     pub pages: u64,
     /// Length of each segment.
     pub segments: [(SegmentKind, u64); 4],
-    /// Bytes of the whole image for each triangle of the mesh.
-    pub bytes_per_triangle: f64,
+    /// Bytes of the whole image for each triangle and sphere of the model.
+    pub bytes_per_primitive: f64,
     /// What the scene uses.
     pub needs: SceneNeeds,
 }
@@ -50,25 +55,31 @@ impl From<&Header> for Info {
     fn from(header: &Header) -> Self {
         let ratio = |a: u64, b: u64| a as f64 / b.max(1) as f64;
         let stored = u64::from(header.primitives);
+        let primitives = header.triangles.saturating_add(header.spheres);
         Self {
             triangles: header.triangles,
+            spheres: header.spheres,
             collapsed: header.collapsed,
             repeated: header.repeated,
             vertices: header.vertices,
             stored,
-            duplication: ratio(stored, header.triangles.saturating_sub(header.collapsed + header.repeated)),
+            duplication: ratio(
+                stored,
+                primitives.saturating_sub(header.collapsed.saturating_add(header.repeated)),
+            ),
             levels: header.grid.levels,
             branches: header.branches,
             leaves: header.leaves,
             clusters: header.clusters,
-            triangles_per_cluster: ratio(stored, header.clusters.into()),
+            primitives_per_cluster: ratio(stored, header.clusters.into()),
             bounds: header.bounds,
+            view: header.view,
             typical_edge: header.scale().inverse().apply(header.typical_edge),
             page_bytes: header.page_bytes,
             image_bytes: header.image_bytes,
             pages: header.image_bytes / u64::from(header.page_bytes),
             segments: header.segments.in_order().map(|(kind, segment)| (kind, segment.bytes)),
-            bytes_per_triangle: ratio(header.image_bytes, header.triangles),
+            bytes_per_primitive: ratio(header.image_bytes, primitives),
             needs: header.needs,
         }
     }

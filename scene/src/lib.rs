@@ -1,4 +1,5 @@
-//! Prepares scenes: reads meshes, builds the grid over them, and writes, opens and checks scene images.
+//! Prepares scenes: reads meshes, builds the grid over them and over spheres, and writes, opens and checks scene
+//! images.
 //!
 //! ```
 //! use rt_core::{Flat, SceneView};
@@ -22,6 +23,7 @@ pub mod file;
 pub mod fuzzing;
 mod info;
 mod mesh;
+mod model;
 pub mod read;
 mod write;
 
@@ -29,5 +31,6 @@ pub use build::{BuildError, BuildOptions, Progress, Scene, Stage, build};
 pub use file::{OpenError, SceneFile};
 pub use info::Info;
 pub use mesh::Mesh;
+pub use model::Model;
 pub use read::{ReadError, parse_mesh, read_mesh};
 pub use write::WriteError;

@@ -9,6 +9,7 @@ use rt_core::Header;
 use rt_core::cluster::{cluster_bytes, quads};
 use rt_core::grid::{Branch, Leaf};
 use rt_core::image::{CLUSTER_BYTES_MAX, PAGE_BYTES_MAX, PAGE_BYTES_MIN, Segment, Segments};
+use rt_core::sphere::{Sphere, spheres_bytes};
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::build::{Progress, Scene, Stage, VertexSet};
@@ -110,20 +111,41 @@ impl Scene {
         for cluster in clusters.clone() {
             bytes.resize(length(start, layout.start_of(cluster)), 0);
             let leaf = &self.tree.leaves[self.tree.clusters[cluster] as usize];
-            let ids = &self.tree.ids[leaf.first as usize..][..usize::from(leaf.triangles)];
-            self.encode_cluster(leaf, ids, &mut vertices, &mut bytes);
+            let ids = &self.tree.ids[leaf.first as usize..][..usize::from(leaf.count)];
+            if leaf.vertices == Leaf::SPHERES {
+                self.encode_spheres(ids, &mut bytes);
+            } else {
+                self.encode_triangles(leaf, ids, &mut vertices, &mut bytes);
+            }
         }
         bytes.resize(length(start, layout.start_of(clusters.end)), 0);
         bytes
     }
 
-    /// Appends one cluster, as laid down in [`rt_core::cluster`].
-    fn encode_cluster(&self, leaf: &Leaf, ids: &[u32], vertices: &mut VertexSet, bytes: &mut Vec<u8>) {
+    /// Appends one cluster of spheres, as laid down in [`rt_core::sphere`].
+    fn encode_spheres(&self, ids: &[u32], bytes: &mut Vec<u8>) {
+        let first = self.model.mesh.triangles.len();
+        let spheres = ids.iter().map(|&id| self.model.spheres[id as usize - first]);
+        let lanes: Vec<Sphere> = spheres.collect();
+        let padding = quads(u8::try_from(ids.len()).unwrap_or(u8::MAX)) - lanes.len();
+        let last = lanes.last().copied().unwrap_or_default();
+        let lane = |of: fn(&Sphere) -> f32| {
+            let padded = lanes.iter().chain(iter::repeat_n(&last, padding));
+            padded.flat_map(move |sphere| of(sphere).to_le_bytes()).collect::<Vec<u8>>()
+        };
+        bytes.extend(lane(|sphere| sphere.centre.x));
+        bytes.extend(lane(|sphere| sphere.centre.y));
+        bytes.extend(lane(|sphere| sphere.centre.z));
+        bytes.extend(lane(|sphere| sphere.radius));
+    }
+
+    /// Appends one cluster of triangles, as laid down in [`rt_core::cluster`].
+    fn encode_triangles(&self, leaf: &Leaf, ids: &[u32], vertices: &mut VertexSet, bytes: &mut Vec<u8>) {
         vertices.clear();
         let mut indices = [[0_u8; 64]; 3];
         for (i, &id) in ids.iter().enumerate() {
-            for (axis, vertex) in self.mesh.triangles[id as usize].into_iter().enumerate() {
-                indices[axis][i] = vertices.insert(self.mesh.positions[vertex as usize]).unwrap_or(0);
+            for (axis, vertex) in self.model.mesh.triangles[id as usize].into_iter().enumerate() {
+                indices[axis][i] = vertices.insert(self.model.mesh.positions[vertex as usize]).unwrap_or(0);
             }
         }
         for axis in 0..3 {
@@ -137,7 +159,7 @@ impl Scene {
             }
         }
         for corner in &indices {
-            bytes.extend_from_slice(&corner[..quads(leaf.triangles)]);
+            bytes.extend_from_slice(&corner[..quads(leaf.count)]);
         }
     }
 }
@@ -160,7 +182,7 @@ impl Layout {
         let mut clusters = Vec::with_capacity(scene.tree.clusters.len() + 1);
         for &leaf in &scene.tree.clusters {
             let leaf = &scene.tree.leaves[leaf as usize];
-            let bytes = cluster_bytes(leaf.vertices, leaf.triangles) as u64;
+            let bytes = bytes_of_cluster(leaf) as u64;
             let start = if end % page + bytes > page { end.next_multiple_of(page) } else { end };
             clusters.push(start / 16);
             end = start + bytes;
@@ -207,15 +229,17 @@ impl Layout {
             page_bytes: self.page_bytes,
             image_bytes: end,
             needs: scene.needs,
-            triangles: scene.mesh.triangles.len() as u64,
+            triangles: scene.model.mesh.triangles.len() as u64,
+            spheres: scene.model.spheres.len() as u64,
             collapsed: scene.collapsed,
             repeated: scene.repeated,
-            vertices: scene.mesh.positions.len() as u64,
+            vertices: scene.model.mesh.positions.len() as u64,
             primitives: count(tree.ids.len()),
             branches: count(tree.branches.len()),
             leaves: count(tree.leaves.len()),
             clusters: count(tree.clusters.len()),
             bounds: scene.bounds,
+            view: scene.model.view.unwrap_or(scene.bounds),
             grid: scene.grid,
             typical_edge: scene.typical_edge,
             scale_exponent: scene.scale_exponent,
@@ -284,6 +308,15 @@ impl core::error::Error for WriteError {
 impl From<io::Error> for WriteError {
     fn from(error: io::Error) -> Self {
         Self::Io(error)
+    }
+}
+
+/// Length of the record of the cluster that a leaf names.
+const fn bytes_of_cluster(leaf: &Leaf) -> usize {
+    if leaf.vertices == Leaf::SPHERES {
+        spheres_bytes(leaf.count)
+    } else {
+        cluster_bytes(leaf.vertices, leaf.count)
     }
 }
 

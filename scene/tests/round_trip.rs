@@ -7,19 +7,20 @@ use std::path::PathBuf;
 use rt_core::camera::OrbitPlace;
 use rt_core::cluster::{Cluster, cluster_bytes};
 use rt_core::grid::LeafContent;
+use rt_core::sphere::{Sphere, SphereCluster, spheres_bytes};
 use rt_core::{Flat, Frame, Kernel, Orbit, Primitive, SceneView, Tiles, render_tile};
 use scene::file::view_of;
-use scene::{BuildOptions, Mesh, OpenError, SceneFile, build, builtin};
+use scene::{BuildOptions, Mesh, Model, OpenError, SceneFile, build, builtin};
 
-fn image(mesh: &Mesh, page_bytes: u32) -> Vec<u8> {
-    build(mesh.clone(), &BuildOptions::default(), &|_| {})
+fn image(model: &(impl Into<Model> + Clone), page_bytes: u32) -> Vec<u8> {
+    build(model.clone(), &BuildOptions::default(), &|_| {})
         .expect("builds")
         .to_bytes(page_bytes)
         .expect("fits")
 }
 
 fn picture(scene: &SceneView<Flat<'_>>, frame: u32) -> Vec<u8> {
-    let orbit = Orbit::around(&scene.header().bounds);
+    let orbit = Orbit::around(&scene.header().view);
     let place = OrbitPlace { radius: 0.9, elevation: 20.0, frame, frames: 5 };
     let frame = Frame::on_orbit(&orbit, &place, 150, 100).expect("a valid frame");
     let tiles = Tiles::of(frame.width, frame.height);
@@ -35,8 +36,13 @@ fn picture(scene: &SceneView<Flat<'_>>, frame: u32) -> Vec<u8> {
 
 #[test]
 fn every_page_size_gives_the_same_pictures_and_the_same_order() {
-    let mesh = builtin::knot(30_000);
-    let images = [4 << 10, 16 << 10, 64 << 10, 2 << 20].map(|page_bytes| image(&mesh, page_bytes));
+    page_sizes_do_not_show(&builtin::knot(30_000).into());
+    page_sizes_do_not_show(&builtin::sphereflake(4));
+    page_sizes_do_not_show(&builtin::sphereflake(4).spheres.into());
+}
+
+fn page_sizes_do_not_show(model: &Model) {
+    let images = [4 << 10, 16 << 10, 64 << 10, 2 << 20].map(|page_bytes| image(model, page_bytes));
     let scenes = images.each_ref().map(|bytes| view_of(bytes).expect("a sound image"));
     for frame in 0..3 {
         let pictures = scenes.map(|scene| picture(&scene, frame));
@@ -66,18 +72,71 @@ fn the_scale_of_a_scene_does_not_show() {
 }
 
 #[test]
+fn the_scale_of_spheres_does_not_show() {
+    let model = builtin::sphereflake(3);
+    let expected = picture(&view_of(&image(&model, 4096)).expect("a sound image"), 1);
+    for exponent in [-60, 60] {
+        let scale = 2.0_f32.powi(exponent);
+        let mut scaled = model.clone();
+        scaled.mesh.positions.iter_mut().flatten().for_each(|x| *x *= scale);
+        for Sphere { centre, radius } in &mut scaled.spheres {
+            (*centre, *radius) = (*centre * scale, *radius * scale);
+        }
+        let view = model.view.expect("has one");
+        scaled.view = Some(rt_core::Bounds { low: view.low * scale, high: view.high * scale });
+        let picture = picture(&view_of(&image(&scaled, 4096)).expect("a sound image"), 1);
+        assert!(picture == expected, "2^{exponent} times as large, the picture is another");
+    }
+}
+
+#[test]
 fn no_record_crosses_a_page() {
-    let bytes = image(&builtin::knot(30_000), 4096);
+    no_record_of_crosses_a_page(&builtin::knot(30_000).into());
+    no_record_of_crosses_a_page(&builtin::sphereflake(4));
+}
+
+fn no_record_of_crosses_a_page(model: &Model) {
+    let bytes = image(model, 4096);
     let scene = view_of(&bytes).expect("a sound image");
     let header = scene.header();
     assert_eq!(header.image_bytes, bytes.len() as u64);
     for index in 0..header.leaves {
-        if let Some(LeafContent::Cluster(place)) = scene.leaf(index).expect("a leaf").content() {
-            let start = header.segments.clusters.offset + place.offset;
-            let last = start + cluster_bytes(place.vertices, place.triangles) as u64 - 1;
-            assert_eq!((start % 16, start / 4096), (0, last / 4096), "leaf {index}");
+        let (offset, length) = match scene.leaf(index).expect("a leaf").content().expect("a sound leaf") {
+            LeafContent::Cluster(place) => (place.offset, cluster_bytes(place.vertices, place.triangles)),
+            LeafContent::Spheres(place) => (place.offset, spheres_bytes(place.count)),
+            LeafContent::List { .. } => continue,
+        };
+        let start = header.segments.clusters.offset + offset;
+        let last = start + length as u64 - 1;
+        assert_eq!((start % 16, start / 4096), (0, last / 4096), "leaf {index}");
+    }
+}
+
+#[test]
+fn every_sphere_of_the_model_is_in_the_image() {
+    let mut model = builtin::sphereflake(4);
+    let (first, count) = (model.spheres[7], model.spheres.len());
+    model.spheres.extend([first, Sphere { radius: 0.0, ..first }]);
+    let bytes = image(&model, 4096);
+    let scene = view_of(&bytes).expect("a sound image");
+    let scale = scene.header().scale();
+    let mut found = vec![false; count + 2];
+    for index in 0..scene.header().leaves {
+        let content = scene.leaf(index).expect("a leaf").content().expect("a sound leaf");
+        let LeafContent::Spheres(place) = content else { continue };
+        let record = scene.spheres(&place).expect("a cluster");
+        let cluster = SphereCluster::new(record, &place).expect("a whole record");
+        for index in 0..usize::from(place.count) {
+            let id = scene.original_id(cluster.primitive(index)).expect("an id") as usize;
+            let Sphere { centre, radius } = model.spheres[id - model.mesh.triangles.len()];
+            let stored = Sphere { centre: scale.apply_to(centre), radius: scale.apply(radius) };
+            assert_eq!(cluster.sphere(index), stored, "sphere {id}");
+            found[id - model.mesh.triangles.len()] = true;
         }
     }
+    assert!(found[..count].iter().all(|found| *found) && found[count..] == [false; 2]);
+    let header = scene.header();
+    assert_eq!((header.spheres, header.repeated, header.collapsed), (count as u64 + 2, 1, 1));
 }
 
 #[test]
@@ -88,9 +147,12 @@ fn any_number_of_threads_gives_the_same_bytes() {
     mesh.triangles.extend((0..300).map(|i| [i * 7, i * 31 + 5, vertices - 1 - i * 50]));
     mesh.triangles.extend([[1, 2, 3]; 5]);
     mesh.triangles.push([4, 4, 5]);
+    // And spheres on it.
+    let spheres = builtin::sphereflake(4).spheres;
+    let model = Model { mesh, spheres, view: None };
     let with_threads = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
-        pool.install(|| image(&mesh, 4096))
+        pool.install(|| image(&model, 4096))
     };
     let one = with_threads(1);
     assert_eq!(view_of(&one).expect("a sound image").header().collapsed, 1);

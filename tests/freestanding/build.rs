@@ -1,4 +1,4 @@
-//! Makes the scene image that the program traces, and has it linked without anything of the system's.
+//! Makes the scene images that the program traces, and has it linked without anything of the system's.
 
 use std::path::Path;
 
@@ -6,9 +6,12 @@ use scene::{BuildOptions, build, builtin};
 
 fn main() {
     let folder = std::env::var_os("OUT_DIR").expect("cargo names a folder");
-    let scene = build(builtin::knot(2000), &BuildOptions::default(), &|_| {}).expect("the knot builds");
-    let image = scene.to_bytes(4096).expect("the knot is written");
-    std::fs::write(Path::new(&folder).join("knot.msv"), image).expect("cargo's folder can be written to");
+    for (name, model) in [("knot", builtin::knot(2000).into()), ("sphereflake", builtin::sphereflake(2))] {
+        let scene = build(model, &BuildOptions::default(), &|_| {}).expect("a built-in scene builds");
+        let image = scene.to_bytes(4096).expect("a built-in scene is written");
+        let path = Path::new(&folder).join(format!("{name}.msv"));
+        std::fs::write(path, image).expect("cargo's folder can be written to");
+    }
     for argument in ["-nostartfiles", "-nostdlib", "-static"] {
         println!("cargo::rustc-link-arg-bins={argument}");
     }

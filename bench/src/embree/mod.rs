@@ -4,7 +4,7 @@
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | [`subject`], [`sphereflake`] | what is drawn, from where, and what is asked of it |
+//! | [`subject`] | what is drawn, from where, and what is asked of it |
 //! | [`ours`] | our kernels, and how they are prepared and drawn with |
 //! | [`program`], [`peer`] | compiling `peers/embree.cpp`; a running one, and what it is told |
 //! | [`level`], [`stopwatch`], [`drawn`] | vector widths, processor time, what a picture gave |
@@ -21,7 +21,6 @@ mod pinned;
 mod program;
 mod race;
 mod rates;
-mod sphereflake;
 mod stopwatch;
 mod structures;
 mod subject;
@@ -73,10 +72,7 @@ fn run(effort: Effort) -> Result<Findings> {
         effort.say(&format!("{}: building", subject.name));
         let mut peers = start(&programs, &subject, &folder)?;
         let image = structures.build(&subject, &mut peers)?;
-        if image.is_none() && peers.is_empty() {
-            continue;
-        }
-        let races = races(&subject, image.as_deref(), &mut peers, amount, effort)?;
+        let races = races(&subject, &image, &mut peers, amount, effort)?;
         rates.add(&subject, &races);
     }
     programs.notes.iter().for_each(|note| rates.note(note));
@@ -98,7 +94,7 @@ fn start(programs: &Programs, subject: &Subject, folder: &Folder) -> Result<Vec<
 /// Has everybody draw a subject from all distances.
 fn races(
     subject: &Subject,
-    image: Option<&[u8]>,
+    image: &[u8],
     peers: &mut [Peer],
     amount: Amount,
     effort: Effort,

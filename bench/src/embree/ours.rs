@@ -1,8 +1,8 @@
 //! Our side: the kernels, and drawing whole pictures with them.
 
 use anyhow::{Result, ensure};
-use rt_core::{Flat, Frame, SceneView, TILE_SIZE, TileCounts, Tiles, render_tile};
-use scene::{BuildOptions, Mesh, build};
+use rt_core::{Flat, Frame, SceneNeeds, SceneView, TILE_SIZE, TileCounts, Tiles, render_tile};
+use scene::{BuildOptions, Model, build};
 
 use super::drawn::Drawn;
 use super::level::Level;
@@ -15,20 +15,16 @@ pub(super) struct Kernel(rt_core::Kernel);
 
 const PAGE_BYTES: u32 = 16 << 10;
 
-/// Builds the image of a subject with one thread; `None` when it holds what we do not draw yet.
-pub(super) fn prepare(subject: &Subject) -> Result<Option<(Elapsed, Vec<u8>)>> {
-    // Spheres: to be handed to the builder with the mesh.
-    if !subject.spheres.is_empty() {
-        return Ok(None);
-    }
+/// Builds the image of a subject with one thread.
+pub(super) fn prepare(subject: &Subject) -> Result<(Elapsed, Vec<u8>)> {
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-    let mesh = subject.mesh.clone();
-    let (elapsed, image) = stopwatch::time(|| one.install(|| image_of(mesh)));
-    Ok(Some((elapsed, image?)))
+    let model = subject.model.clone();
+    let (elapsed, image) = stopwatch::time(|| one.install(|| image_of(model)));
+    Ok((elapsed, image?))
 }
 
-fn image_of(mesh: Mesh) -> Result<Vec<u8>> {
-    Ok(build(mesh, &BuildOptions::default(), &|_| {})?.to_bytes(PAGE_BYTES)?)
+fn image_of(model: Model) -> Result<Vec<u8>> {
+    Ok(build(model, &BuildOptions::default(), &|_| {})?.to_bytes(PAGE_BYTES)?)
 }
 
 /// The frame without shadow rays: nothing faces a light that is nowhere.
@@ -37,9 +33,11 @@ pub(super) fn without_light(frame: &Frame) -> Frame {
 }
 
 impl Kernel {
-    /// All that this processor can run.
-    pub(super) fn all() -> impl Iterator<Item = Self> {
-        rt_core::Kernel::available().map(Self)
+    /// All that this processor can run and that draw such a scene their own way: beams leave spheres to the ray
+    /// kernel.
+    pub(super) fn of_scene(needs: SceneNeeds) -> impl Iterator<Item = Self> {
+        let spheres = needs.contains(SceneNeeds::SPHERES);
+        rt_core::Kernel::available().map(Self).filter(move |kernel| kernel.is_ray() || !spheres)
     }
 
     /// The kernel that follows one ray at a time.

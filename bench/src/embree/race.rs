@@ -1,7 +1,7 @@
 //! A race: everybody draws every frame in turns, round after round.
 
 use anyhow::{Context, Result, ensure};
-use rt_core::{Flat, Frame, SceneView};
+use rt_core::{Flat, Frame, SceneNeeds, SceneView};
 
 use super::drawn::Drawn;
 use super::level::Level;
@@ -72,17 +72,16 @@ pub(super) struct Lap {
 /// What is needed to draw.
 #[derive(Debug)]
 struct Field<'a> {
-    /// `None` when our kernels cannot draw the subject.
-    scene: Option<SceneView<Flat<'a>>>,
+    scene: SceneView<Flat<'a>>,
     peers: &'a mut [Peer],
     picture: Vec<u8>,
 }
 
 /// Has everybody draw the frames, after asserting that they draw the same. `image` is ours of the scene.
-pub(super) fn run(track: &Track, image: Option<&[u8]>, peers: &mut [Peer]) -> Result<Race> {
+pub(super) fn run(track: &Track, image: &[u8], peers: &mut [Peer]) -> Result<Race> {
     let Track { name, frames, rounds, effort } = track;
-    let entrants = entrants(image.is_some(), peers);
-    let scene = image.map(|image| SceneView::new(Flat::new(image))).transpose()?;
+    let scene = SceneView::new(Flat::new(image))?;
+    let entrants = entrants(scene.header().needs, peers);
     let first = frames.first().context("no frame to draw")?;
     let picture = vec![0; first.width as usize * first.height as usize];
     let mut field = Field { scene, peers, picture };
@@ -94,10 +93,9 @@ pub(super) fn run(track: &Track, image: Option<&[u8]>, peers: &mut [Peer]) -> Re
     Ok(Race { standings, note: rounds.note() })
 }
 
-/// All of ours that this machine runs, and Embree in all modes; with fast edges at the widest level only.
-fn entrants(is_ours_here: bool, peers: &[Peer]) -> Vec<Entrant> {
-    let kernels = Kernel::all().filter(|_| is_ours_here);
-    let ours = kernels.map(|kernel| Entrant {
+/// All of ours for such a scene, and Embree in all modes; with fast edges at the widest level only.
+fn entrants(needs: SceneNeeds, peers: &[Peer]) -> Vec<Entrant> {
+    let ours = Kernel::of_scene(needs).map(|kernel| Entrant {
         name: format!("ours, {}", kernel.name()),
         level: kernel.level(),
         way: Way::Ours(kernel),
@@ -147,10 +145,7 @@ impl Field<'_> {
 
     fn draw(&mut self, entrant: &Entrant, frame: &Frame) -> Result<Drawn> {
         match entrant.way {
-            Way::Ours(kernel) => {
-                let scene = self.scene.as_ref().context("we have no image of it")?;
-                kernel.draw(scene, frame, &mut self.picture)
-            }
+            Way::Ours(kernel) => kernel.draw(&self.scene, frame, &mut self.picture),
             Way::Embree { peer, edges, mode } => self.peers[peer].draw(edges, mode, frame),
         }
     }

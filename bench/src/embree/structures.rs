@@ -41,8 +41,8 @@ impl Structures {
         Self { builds, table, aims: Vec::new() }
     }
 
-    /// Builds a subject by everybody. Returns our image, or `None` when it holds what we do not draw yet.
-    pub(super) fn build(&mut self, subject: &Subject, peers: &mut [Peer]) -> Result<Option<Vec<u8>>> {
+    /// Builds a subject by everybody. Returns our image.
+    pub(super) fn build(&mut self, subject: &Subject, peers: &mut [Peer]) -> Result<Vec<u8>> {
         let widest = peers.iter().map(|peer| peer.level).max();
         let (peers, narrower): (Vec<_>, Vec<_>) =
             peers.iter_mut().partition(|peer| Some(peer.level) == widest);
@@ -50,23 +50,19 @@ impl Structures {
         for peer in narrower {
             peer.build(Edges::Robust, Quality::High)?;
         }
-        let (mut ours, mut image) = (Vec::new(), None);
+        let (mut ours, mut image) = (Vec::new(), Vec::new());
         let mut theirs: Vec<_> = peers.into_iter().map(|peer| (peer, [const { Vec::new() }; 4])).collect();
         for _ in 0..self.builds {
-            if let Some((time, bytes)) = ours::prepare(subject)? {
-                ours.push(time.cpu_ms);
-                image = Some(bytes);
-            }
+            let (time, bytes) = ours::prepare(subject)?;
+            ours.push(time.cpu_ms);
+            image = bytes;
             for (peer, builds) in &mut theirs {
                 for ((edges, quality), builds) in OF_EMBREE.into_iter().zip(builds) {
                     builds.push(peer.build(edges, quality)?);
                 }
             }
         }
-        match &image {
-            Some(image) => self.add_ours(subject, &ours, image),
-            None => self.table.note(format!("{}: we do not draw spheres yet", subject.name)),
-        }
+        self.add_ours(subject, &ours, &image);
         theirs.iter().for_each(|(peer, builds)| self.add_embree(subject, &peer.name, builds));
         Ok(image)
     }
@@ -74,12 +70,15 @@ impl Structures {
     fn add_ours(&mut self, subject: &Subject, times_ms: &[f64], image: &[u8]) {
         let bytes = image.len() as f64 / subject.primitives() as f64;
         self.add_row(subject, "ours".to_owned(), times_ms, [bytes; 2]);
-        let what = format!("{}: bytes of our image a triangle", subject.name);
-        self.aims.push(Aim::at_most(what, bytes, BYTES_MAX));
+        // The few spheres of the flake fill few pages; the rest of these counts for each sphere.
+        if subject.model.spheres.is_empty() {
+            let what = format!("{}: bytes of our image a triangle", subject.name);
+            self.aims.push(Aim::at_most(what, bytes, BYTES_MAX));
+        }
     }
 
     fn add_embree(&mut self, subject: &Subject, name: &str, builds: &[Vec<Built>; 4]) {
-        let arrays = subject.mesh.bytes() + size_of_val(subject.spheres.as_slice()) as u64;
+        let arrays = subject.model.bytes();
         for ((edges, quality), builds) in OF_EMBREE.into_iter().zip(builds) {
             let name = format!("{name}, {}, {}", quality.name(), edges.name());
             let times_ms: Vec<f64> = builds.iter().map(|built| built.time.cpu_ms).collect();

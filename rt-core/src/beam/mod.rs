@@ -19,7 +19,7 @@
 //! beam, by rays, and with any lanes, and the order of visits does not show.
 //!
 //! # When rays take over
-//! Whole tiles: a camera that is askew or very wide, an eye or light very far away, an image that lies. Shadows of a tile: lit
+//! Whole tiles: a scene with spheres, a camera that is askew or very wide, an eye or light very far away, an image that lies. Shadows of a tile: lit
 //! points that the light sees in a wide angle. Single clusters: those that reach behind the eye.
 #![expect(
     clippy::cast_possible_truncation,
@@ -38,6 +38,7 @@ mod winners;
 
 use crate::count::{Count, TileCounts};
 use crate::grid_ray::GridRay;
+use crate::kinds::OnlyTriangles;
 use crate::memory::SceneMemory;
 use crate::scale::Scale;
 use crate::shade;
@@ -218,7 +219,7 @@ fn by_rays<M: SceneMemory, C: Count>(
         let point = points.get(index);
         let ray = GridRay::new(point, view.light - point, 1.0, Scale::ONE, &view.scene.header().grid);
         if let Some(ray) = ray {
-            *shadowed = walk_by_ray::<M, C, true>(view.scene, &ray, work)?.triangle.is_some();
+            *shadowed = walk_by_ray::<M, C, OnlyTriangles, true>(view.scene, &ray, work)?.surface.is_some();
         }
     }
     Ok(shadowed)

@@ -10,6 +10,7 @@ use super::winners::{Winner, Winners};
 use crate::camera::Camera;
 use crate::cluster::{Cluster, Nearest};
 use crate::simd::{LANES, Mask, Simd, each};
+use crate::surface::Surface;
 use crate::tile::Tile;
 use crate::triangle_woop::WoopRay;
 
@@ -127,7 +128,7 @@ impl<'a> Pixels<'a> {
                 return;
             }
             nearest.offer(crossing, winner.primitive, winner.corners);
-            if nearest.triangle.is_none_or(|(_, corners)| corners != winner.corners) {
+            if nearest.surface.is_none_or(|(_, surface)| surface != Surface::Triangle(winner.corners)) {
                 return;
             }
         }
@@ -384,7 +385,7 @@ impl<S: Simd> Targets<S> for Pixels<'_> {
                 }
                 let mut nearest = Nearest::none(f32::INFINITY);
                 cluster.intersect::<false>(&self.ray(block, lane), &mut nearest, &mut ());
-                if let Some((primitive, corners)) = nearest.triangle {
+                if let Some((primitive, Surface::Triangle(corners))) = nearest.surface {
                     self.decide_by_ray((block, lane), &Winner { corners, primitive });
                 }
             }

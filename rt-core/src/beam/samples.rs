@@ -423,7 +423,7 @@ impl<S: Simd> Targets<S> for Samples<'_> {
                 open &= open - 1;
                 let mut nearest = Nearest::none(1.0);
                 cluster.intersect::<true>(&self.ray(group, lane), &mut nearest, &mut ());
-                if nearest.triangle.is_some() {
+                if nearest.surface.is_some() {
                     self.close(s, group, 1 << lane);
                 }
             }

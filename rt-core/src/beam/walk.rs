@@ -198,6 +198,7 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
             }
             match leaf.content().ok_or(Damaged::Leaf(index))? {
                 LeafContent::Cluster(place) => self.enqueue(Waiting { place, seen })?,
+                LeafContent::Spheres(_) => return Err(Damaged::Leaf(index)),
                 LeafContent::List { .. } if in_list => return Err(Damaged::Leaf(index)),
                 LeafContent::List { first, count } => {
                     (next, end, in_list) =

@@ -34,7 +34,10 @@ pub(super) struct RawHeader {
     slack: f32,
     segment_count: u32,
     segments: [RawSegment; SEGMENTS_MAX],
-    reserved: [u64; 14],
+    spheres: u64,
+    view_low: [f32; 3],
+    view_high: [f32; 3],
+    reserved: [u64; 10],
     checksum: u64,
 }
 
@@ -95,7 +98,10 @@ impl RawHeader {
             slack: header.grid.slack,
             segment_count: 4,
             segments,
-            reserved: [0; 14],
+            spheres: header.spheres,
+            view_low: header.view.low.to_array(),
+            view_high: header.view.high.to_array(),
+            reserved: [0; 10],
             checksum: 0,
         };
         raw.checksum = raw.compute_checksum();
@@ -108,6 +114,7 @@ impl RawHeader {
             image_bytes: self.image_bytes,
             needs: SceneNeeds::from_bits(self.needs).ok_or(HeaderError::Needs(self.needs))?,
             triangles: self.triangles,
+            spheres: self.spheres,
             collapsed: self.collapsed,
             repeated: self.repeated,
             vertices: self.vertices,
@@ -116,6 +123,7 @@ impl RawHeader {
             leaves: self.leaves,
             clusters: self.clusters,
             bounds: Bounds { low: self.bounds_low.into(), high: self.bounds_high.into() },
+            view: Bounds { low: self.view_low.into(), high: self.view_high.into() },
             grid: GridShape {
                 origin: self.grid_origin.into(),
                 size: self.grid_size,

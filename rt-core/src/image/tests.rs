@@ -4,8 +4,9 @@ fn header() -> Header {
     Header {
         page_bytes: 4096,
         image_bytes: 6 * 4096,
-        needs: SceneNeeds::TRIANGLES,
+        needs: SceneNeeds::KNOWN,
         triangles: 100,
+        spheres: 20,
         collapsed: 1,
         repeated: 0,
         vertices: 50,
@@ -14,6 +15,7 @@ fn header() -> Header {
         leaves: 7,
         clusters: 6,
         bounds: Bounds { low: Vec3::ZERO, high: Vec3::ONE },
+        view: Bounds { low: Vec3::NEG_ONE, high: Vec3::ONE },
         grid: GridShape { origin: Vec3::ZERO, size: 1.0, slack: 0.01, levels: 2 },
         typical_edge: 0.02,
         scale_exponent: 0,
@@ -67,7 +69,7 @@ fn foreign_short_and_corrupt_bytes_are_refused() {
 fn inconsistent_headers_are_refused_by_name() {
     use SegmentKind::{Branches, Ids, Leaves};
     type Case = (fn(&mut Header), HeaderError);
-    let cases: [Case; 16] = [
+    let cases: [Case; 17] = [
         (|h| h.page_bytes = 5000, HeaderError::PageBytes(5000)),
         (|h| h.page_bytes = 2048, HeaderError::PageBytes(2048)),
         (|h| h.image_bytes = 4097, HeaderError::PageBytes(4096)),
@@ -84,6 +86,7 @@ fn inconsistent_headers_are_refused_by_name() {
         (|h| h.grid.levels = 11, HeaderError::Grid("levels")),
         (|h| h.scale_exponent = i32::MIN + 1, HeaderError::Grid("scale")),
         (|h| h.bounds.low.x = 2.0, HeaderError::Grid("bounds")),
+        (|h| h.view.high.z = f32::NAN, HeaderError::Grid("view")),
     ];
     for (change, expected) in cases {
         assert_eq!(parse_changed(change), Err(expected));
@@ -95,6 +98,7 @@ fn messages_are_one_lower_case_line() {
     let errors = [
         HeaderError::Truncated { needed: 512, got: 3 },
         HeaderError::Version { found: 9 },
+        HeaderError::LeftOut(SceneNeeds::SPHERES),
         HeaderError::Segment(SegmentKind::Ids),
         HeaderError::Grid("size"),
     ];

@@ -1,18 +1,36 @@
-//! Why a mesh cannot be built.
+//! Why a model cannot be built.
 
 use core::fmt;
 
-/// Why no grid can be built over a mesh.
+/// Why no grid can be built over a model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum BuildError {
-    /// There are no triangles.
+    /// There are no triangles and no spheres.
     NoTriangles,
-    /// Every triangle has two corners at the same point, so no ray can hit anything.
+    /// Every triangle has two corners at the same point, and every sphere has a radius of 0 (or one that is
+    /// lost beside the scene's size), so no ray can hit anything.
     AllCollapsed {
         /// Number of triangles.
         triangles: usize,
+        /// Number of spheres.
+        spheres: usize,
     },
+    /// The centre or radius of a sphere is NaN or infinite, or its surface lies beyond what single precision can
+    /// hold.
+    SphereNotFinite {
+        /// Number of the sphere, from 0.
+        sphere: usize,
+    },
+    /// A sphere's radius is below 0.
+    NegativeRadius {
+        /// Number of the sphere, from 0.
+        sphere: usize,
+        /// The radius.
+        radius: f32,
+    },
+    /// The view is not a box with finite corners in order.
+    View,
     /// A triangle names a vertex that does not exist.
     NoSuchVertex {
         /// Number of the triangle, from 0.
@@ -32,9 +50,9 @@ pub enum BuildError {
         /// The largest absolute coordinate.
         largest: f32,
     },
-    /// More triangles than 32-bit numbers can name.
+    /// More triangles and spheres than 32-bit numbers can name.
     TooManyTriangles {
-        /// Number of triangles, copies in several cells included.
+        /// Number of triangles and spheres, copies in several cells included.
         count: u64,
     },
 }
@@ -43,12 +61,28 @@ impl fmt::Display for BuildError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NoTriangles => write!(f, "the mesh has no triangles, so there is nothing to render"),
-            Self::AllCollapsed { triangles } => {
+            Self::AllCollapsed { triangles, spheres: 0 } => {
                 write!(
                     f,
                     "none of the {triangles} triangles has an area: each has two corners at the same point"
                 )
             }
+            Self::AllCollapsed { triangles, spheres } => {
+                write!(
+                    f,
+                    "none of the {triangles} triangles has an area and none of the {spheres} spheres a radius"
+                )
+            }
+            Self::SphereNotFinite { sphere } => {
+                write!(
+                    f,
+                    "sphere {sphere} has a centre or radius that is not a finite number, or is too large"
+                )
+            }
+            Self::NegativeRadius { sphere, radius } => {
+                write!(f, "sphere {sphere} has the radius {radius}, which is below 0")
+            }
+            Self::View => write!(f, "the view is not a box with finite corners in order"),
             Self::NoSuchVertex { triangle, vertex, vertices } => {
                 write!(f, "triangle {triangle} names vertex {vertex}, but there are only {vertices}")
             }
@@ -59,7 +93,7 @@ impl fmt::Display for BuildError {
                 write!(f, "the largest coordinate is {largest:e}; scale the mesh to between 1e-30 and 1e30")
             }
             Self::TooManyTriangles { count } => {
-                write!(f, "{count} triangles are more than an image can number")
+                write!(f, "{count} triangles and spheres are more than an image can number")
             }
         }
     }

@@ -1,20 +1,20 @@
 //! Grows the tree of branches from the root down.
 
 use rayon::prelude::*;
-use rt_core::grid::{BoxFrame, Branch, GridShape, Leaf, TRIANGLES_MAX};
+use rt_core::grid::{BoxFrame, Branch, GridShape, Leaf, SPHERES_MAX, TRIANGLES_MAX};
 
 use super::keys::Entry;
+use super::local_box::{LocalBox, PaddedCell};
 use super::overlap::{Cube, cells_of};
-use super::prepare::corners;
-use super::runs::{Chunk, LocalBox, PaddedCell, Runs};
+use super::runs::{Chunk, Kind, Runs};
 use super::{Ticker, Tree};
-use crate::mesh::Mesh;
+use crate::model::Model;
 
 /// Grows the grid's tree over sorted entries.
-pub(super) fn grow(mesh: &Mesh, grid: &GridShape, entries: &[Entry], ticker: &Ticker<'_>) -> Tree {
-    let grower = Grower { mesh, grid, ticker };
+pub(super) fn grow(model: &Model, grid: &GridShape, entries: &[Entry], ticker: &Ticker<'_>) -> Tree {
+    let grower = Grower { model, grid, ticker };
     let cube = Cube { corner: grid.origin, cell: grid.size * 0.25, level: 1 };
-    let copies = entries.len() as u64 * COPIES_PER_TRIANGLE + COPIES_FREE;
+    let copies = entries.len() as u64 * COPIES_PER_PRIMITIVE + COPIES_FREE;
     let root = grower.distribute(cube, &Content { residents: entries, visitors: &[] }, copies);
     let mut tree = Tree { branches: vec![Branch::default()], ..Tree::default() };
     tree.branches[0] = grower.branch(&root, &mut tree);
@@ -22,22 +22,22 @@ pub(super) fn grow(mesh: &Mesh, grid: &GridShape, entries: &[Entry], ticker: &Ti
 }
 
 struct Grower<'a> {
-    mesh: &'a Mesh,
+    model: &'a Model,
     grid: &'a GridShape,
     ticker: &'a Ticker<'a>,
 }
 
-/// The triangles of a cell.
+/// The primitives of a cell.
 #[derive(Clone, Copy)]
 struct Content<'a> {
     /// A range of the sorted entries; those that became visitors on a level above are skipped.
     residents: &'a [Entry],
-    /// Triangles too large for the cell of their middle, handed to every cell that they overlap.
+    /// Primitives too large for the cell of their middle, handed to every cell that they overlap.
     visitors: &'a [u32],
 }
 
 impl Content<'_> {
-    /// The triangles of a cell on `level`.
+    /// The primitives of a cell on `level`.
     fn ids(&self, level: u32) -> impl Iterator<Item = u32> + Clone {
         let residents =
             self.residents.iter().filter(move |entry| entry.depth() >= level).map(|entry| entry.id);
@@ -45,7 +45,7 @@ impl Content<'_> {
     }
 }
 
-/// The triangles of a branch, told apart by cell.
+/// The primitives of a branch, told apart by cell.
 struct Split<'a> {
     cube: Cube,
     residents: &'a [Entry],
@@ -54,11 +54,11 @@ struct Split<'a> {
     visitors: Vec<u32>,
     /// Where each cell's visitors end.
     visitor_ends: [u32; 64],
-    /// Triangles of each cell, residents and visitors.
+    /// Primitives of each cell, residents and visitors.
     counts: [u32; 64],
-    /// Triangles of the branch before the split.
+    /// Primitives of the branch before the split.
     before: u64,
-    /// How many more copies of triangles the branch and all below it may hold than the branch has triangles.
+    /// How many more copies the branch and all below it may hold than the branch has primitives.
     copies: u64,
 }
 
@@ -79,7 +79,7 @@ impl Split<'_> {
 
     /// Whether the cells are worth their copies.
     ///
-    /// A ray that meets the branch meets about a sixteenth of its cells. When every triangle is in half of
+    /// A ray that meets the branch meets about a sixteenth of its cells. When every primitive is in half of
     /// those, nothing is won.
     fn is_worth_it(&self) -> bool {
         let after = self.after();
@@ -95,7 +95,7 @@ impl Split<'_> {
 }
 
 impl Grower<'_> {
-    /// Tells the triangles of the branch at `cube` apart by cell.
+    /// Tells the primitives of the branch at `cube` apart by cell.
     fn distribute<'a>(&self, cube: Cube, content: &Content<'a>, copies: u64) -> Split<'a> {
         let mut counts = [0; 64];
         let mut resident_ends = [0; 64];
@@ -129,8 +129,7 @@ impl Grower<'_> {
     }
 
     fn hand_over(&self, id: u32, cube: &Cube, handed: &mut Vec<(u8, u32)>) {
-        let mut cells =
-            cells_of(&corners(self.mesh, self.mesh.triangles[id as usize]), cube, self.grid.slack);
+        let mut cells = cells_of(&self.model.surface(id), cube, self.grid.slack);
         while cells != 0 {
             #[expect(clippy::cast_possible_truncation, reason = "a cell is below 64")]
             handed.push((cells.trailing_zeros() as u8, id));
@@ -151,10 +150,7 @@ impl Grower<'_> {
             match *item {
                 Item::Run(run) => {
                     for chunk in plan.runs.list[run].chunks.clone() {
-                        tree.add_cluster(
-                            chunk_leaves[chunk],
-                            &plan.runs.ids[plan.runs.chunks[chunk].ids.clone()],
-                        );
+                        tree.add_cluster(chunk_leaves[chunk], &plan.runs.chunks[chunk].ids);
                     }
                 }
                 Item::Inner(inner) => {
@@ -167,7 +163,7 @@ impl Grower<'_> {
             }
         }
         tree.levels = tree.levels.max(split.cube.level);
-        self.ticker.add(plan.runs.ids.len() as u64);
+        self.ticker.add(plan.runs.chunks.iter().map(|chunk| chunk.ids.len() as u64).sum());
         branch
     }
 
@@ -180,14 +176,14 @@ impl Grower<'_> {
             let ids = content.ids(cube.level);
             let padded = PaddedCell::new(cube, cell, self.grid.slack);
             let runs = plan.runs.list.len();
-            let small = split.counts[cell as usize] <= u32::from(TRIANGLES_MAX);
-            if !(small && plan.runs.add(self.mesh, &padded, ids.clone())) {
+            let small = split.counts[cell as usize] <= u32::from(TRIANGLES_MAX + SPHERES_MAX);
+            if !(small && plan.runs.add(self.model, &padded, ids.clone())) {
                 match self.split_further(split, cell, &content) {
                     Some(further) => {
                         plan.order.push(Item::Inner(plan.inner.len()));
                         plan.inner.push((cell, further));
                     }
-                    None => plan.runs.add_list(self.mesh, &padded, ids),
+                    None => plan.runs.add_list(self.model, &padded, ids),
                 }
             }
             if plan.runs.list.len() > runs {
@@ -279,7 +275,7 @@ impl Plan<'_> {
 }
 
 impl Tree {
-    /// Adds the triangles of the cluster that `leaf` names.
+    /// Adds the primitives of the cluster that `leaf` names.
     fn add_cluster(&mut self, leaf: u32, ids: &[u32]) {
         self.leaves[leaf as usize].first = index(self.ids.len());
         self.clusters.push(leaf);
@@ -309,13 +305,13 @@ impl Tree {
 }
 
 fn cluster_leaf_of(frame: &BoxFrame, chunk: &Chunk) -> Leaf {
-    #[expect(clippy::cast_possible_truncation, reason = "a chunk has at most 64 triangles")]
+    #[expect(clippy::cast_possible_truncation, reason = "a chunk has at most 64 primitives")]
     Leaf {
         cluster: 0,
         first: 0,
         bounds: frame.encode(chunk.bounds.low, chunk.bounds.high),
-        vertices: chunk.vertices,
-        triangles: chunk.ids.len() as u8,
+        vertices: if chunk.kind == Kind::Spheres { Leaf::SPHERES } else { chunk.vertices },
+        count: chunk.ids.len() as u8,
     }
 }
 
@@ -326,7 +322,7 @@ fn list_leaf_of(frame: &BoxFrame, chunks: &[Chunk], first: usize) -> Leaf {
         first: index(chunks.len()),
         bounds: frame.encode(bounds.low, bounds.high),
         vertices: 0,
-        triangles: 0,
+        count: 0,
     }
 }
 
@@ -337,7 +333,7 @@ fn fill_gaps(ends: &mut [u32; 64]) {
     }
 }
 
-/// Groups triangles by cell, in the order in which they come, and adds them to the counts; returns them and
+/// Groups primitives by cell, in the order in which they come, and adds them to the counts; returns them and
 /// each cell's end.
 fn group(handed: &[(u8, u32)], counts: &mut [u32; 64]) -> (Vec<u32>, [u32; 64]) {
     let mut ends = [0_u32; 64];
@@ -363,11 +359,11 @@ fn index(value: usize) -> u32 {
     u32::try_from(value).unwrap_or(u32::MAX)
 }
 
-/// How many copies of a triangle there may be on average, the triangle itself not counted.
-const COPIES_PER_TRIANGLE: u64 = 3;
+/// How many copies of a primitive there may be on average, itself not counted.
+const COPIES_PER_PRIMITIVE: u64 = 3;
 
-/// Copies that even the smallest mesh may make.
+/// Copies that even the smallest model may make.
 const COPIES_FREE: u64 = 1024;
 
-/// A branch with this many triangles grows its inner cells in parallel.
+/// A branch with this many primitives grows its inner cells in parallel.
 const PARALLEL_MIN: u64 = 4096;

@@ -1,26 +1,28 @@
-//! Builds the multi-level grid over a mesh.
+//! Builds the multi-level grid over triangles and spheres.
 //!
 //! # How it goes
-//! 1. [`prepare`]: checks the mesh, scales it exactly to unit size, lays the grid's cube around it, and
+//! 1. [`prepare`]: checks the model, scales it exactly to unit size, lays the grid's cube around it, and
 //!    chooses the slack ([`crowd`]).
-//! 2. [`keys`]: gives every triangle the Morton code of the finest cell that holds its middle, and sorts by
-//!    it. A triangle is *resident* in the cells above that one, down to the last whose padded box holds all
-//!    of it. After the sort the residents of a cell are a range, so going down the grid moves no data.
-//!    Triangles that repeat an earlier one are dropped here.
-//! 3. [`grow`]: goes down from the root. A triangle too large for its cell on some level becomes a *visitor*:
-//!    it is handed to every cell that it overlaps by more than the slack ([`overlap`]). Cells are merged into
-//!    runs with one cluster each ([`runs`]).
+//! 2. [`keys`]: gives every primitive (triangle or sphere) the Morton code of the finest cell that holds its
+//!    middle, and sorts by it. A primitive is *resident* in the cells above that one, down to the last whose
+//!    padded box holds all of it. After the sort the residents of a cell are a range, so going down the grid
+//!    moves no data. Primitives that repeat an earlier one are dropped here.
+//! 3. [`grow`]: goes down from the root. A primitive too large for its cell on some level becomes a *visitor*:
+//!    it is handed to every cell that its surface overlaps by more than the slack ([`overlap`]). Cells are
+//!    merged into runs with one cluster each, or one of each kind ([`runs`]).
 //!
-//! The result is the same for any number of threads. Memory is about the mesh, 16 bytes a triangle for the
+//! The result is the same for any number of threads. Memory is about the model, 16 bytes a primitive for the
 //! sort, and 5 for the result; the clusters themselves are made while an image is written.
 
 mod crowd;
 mod error;
 mod grow;
 mod keys;
+mod local_box;
 mod overlap;
 mod prepare;
 mod runs;
+mod surfaces;
 #[cfg(test)]
 mod tests;
 mod vertex_set;
@@ -33,7 +35,7 @@ use rt_core::{Bounds, SceneNeeds};
 pub use error::BuildError;
 pub(crate) use vertex_set::VertexSet;
 
-use crate::mesh::Mesh;
+use crate::model::Model;
 
 /// How to build a grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,16 +57,16 @@ impl Default for BuildOptions {
 pub struct Progress {
     /// What is being done.
     pub stage: Stage,
-    /// Triangles done.
+    /// Triangles and spheres done.
     pub done: u64,
-    /// Triangles in all.
+    /// Triangles and spheres in all.
     pub total: u64,
 }
 
 /// A stage of preparing a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// Checking the mesh and sorting its triangles.
+    /// Checking the model and sorting what it is made of.
     Sort,
     /// Growing the grid.
     Grow,
@@ -72,14 +74,14 @@ pub enum Stage {
     Write,
 }
 
-/// A mesh with its grid: everything of a scene image but the page size.
+/// A model with its grid: everything of a scene image but the page size.
 ///
 /// Made by [`build`]; written by [`write`](Self::write) or [`to_bytes`](Self::to_bytes).
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// The mesh in grid units.
-    pub(crate) mesh: Mesh,
-    /// Bounds of the mesh in world units.
+    /// The model in grid units, but for its view.
+    pub(crate) model: Model,
+    /// Bounds of the model in world units.
     pub(crate) bounds: Bounds,
     pub(crate) needs: SceneNeeds,
     pub(crate) collapsed: u64,
@@ -99,38 +101,39 @@ pub(crate) struct Tree {
     pub(crate) leaves: Vec<Leaf>,
     /// Leaves that have clusters, in address order.
     pub(crate) clusters: Vec<u32>,
-    /// Triangles in address order, cluster by cluster.
+    /// Primitives in address order, cluster by cluster.
     pub(crate) ids: Vec<u32>,
     /// Levels of branches.
     pub(crate) levels: u32,
 }
 
-/// Builds the grid over `mesh`, on all threads of the current rayon pool.
+/// Builds the grid over a mesh or model, on all threads of the current rayon pool.
 ///
 /// # Errors
-/// When the mesh cannot be traced; says why, and where in the mesh.
+/// When the model cannot be traced; says why, and where in the model.
 pub fn build(
-    mesh: Mesh,
+    model: impl Into<Model>,
     options: &BuildOptions,
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Scene, BuildError> {
-    let total = mesh.triangles.len() as u64;
+    let model = model.into();
+    let total = model.count() as u64;
     progress(Progress { stage: Stage::Sort, done: 0, total });
-    let mut prepared = prepare::prepare(mesh, options)?;
-    let mut entries = keys::sorted(&prepared.mesh, &prepared.grid);
+    let mut prepared = prepare::prepare(model, options)?;
+    let mut entries = keys::sorted(&prepared.model, &prepared.grid);
     let collapsed = total - entries.len() as u64;
-    let repeated = keys::drop_repeated(&prepared.mesh, &mut entries);
+    let repeated = keys::drop_repeated(&prepared.model, &mut entries);
     let ticker = Ticker { progress, done: AtomicU64::new(0), total };
-    let tree = grow::grow(&prepared.mesh, &prepared.grid, &entries, &ticker);
+    let tree = grow::grow(&prepared.model, &prepared.grid, &entries, &ticker);
     if u32::try_from(tree.ids.len()).is_err() {
         return Err(BuildError::TooManyTriangles { count: tree.ids.len() as u64 });
     }
     prepared.grid.levels = tree.levels;
-    let prepare::Prepared { mesh, bounds, grid, typical_edge, scale_exponent } = prepared;
+    let prepare::Prepared { model, bounds, grid, typical_edge, scale_exponent } = prepared;
     Ok(Scene {
-        mesh,
+        needs: needs_of(&model),
+        model,
         bounds,
-        needs: SceneNeeds::TRIANGLES,
         collapsed,
         repeated,
         grid,
@@ -140,7 +143,14 @@ pub fn build(
     })
 }
 
-/// Tells the caller's progress function now and then how many triangles have found their cluster.
+/// What kernels must know to trace the model.
+fn needs_of(model: &Model) -> SceneNeeds {
+    let of = |needed: bool, needs| if needed { needs } else { SceneNeeds::NONE };
+    of(!model.mesh.triangles.is_empty(), SceneNeeds::TRIANGLES)
+        .with(of(!model.spheres.is_empty(), SceneNeeds::SPHERES))
+}
+
+/// Tells the caller's progress function now and then how many primitives have found their cluster.
 struct Ticker<'a> {
     progress: &'a (dyn Fn(Progress) + Sync),
     done: AtomicU64,
@@ -148,9 +158,9 @@ struct Ticker<'a> {
 }
 
 impl Ticker<'_> {
-    fn add(&self, triangles: u64) {
+    fn add(&self, primitives: u64) {
         // Relaxed: a counter for people; it orders nothing.
-        let done = self.done.fetch_add(triangles, Ordering::Relaxed) + triangles;
+        let done = self.done.fetch_add(primitives, Ordering::Relaxed) + primitives;
         (self.progress)(Progress { stage: Stage::Grow, done: done.min(self.total), total: self.total });
     }
 }

@@ -1,7 +1,11 @@
-//! Which cells of a branch a triangle overlaps by more than the slack.
+//! Which cells of a branch a triangle, or the surface of a sphere, overlaps by more than the slack.
 
 use glam::Vec3;
 use rt_core::grid::cell_index;
+use rt_core::sphere::Sphere;
+use rt_core::surface::Surface;
+
+use super::surfaces::{extent, surface_touches};
 
 /// A branch's cube.
 #[derive(Clone, Copy, Debug)]
@@ -21,35 +25,54 @@ impl Cube {
         self.corner + Vec3::new(x, y, z) * self.cell
     }
 
+    /// A point, from the cube's corner: exact in f64.
+    pub(super) fn local(&self, point: Vec3) -> [f64; 3] {
+        [0, 1, 2].map(|axis| f64::from(point[axis]) - f64::from(self.corner[axis]))
+    }
+
     /// The cube that a cell is to its own cells.
     pub(super) fn inside(&self, cell: u32) -> Self {
         Self { corner: self.cell_corner(cell), cell: self.cell * 0.25, level: self.level + 1 }
     }
 }
 
-/// The cells of `cube` that hold `triangle`, one bit each: together, padded by `slack`, they contain the part
-/// of the triangle that lies in the padded cube.
+/// The cells of `cube` that hold `surface`, one bit each: together, padded by `slack`, they contain the part of
+/// it that lies in the padded cube.
 ///
 /// Along each axis these are the cells overlapped by more than the slack, or, when there is none, the one
-/// nearest to the middle. Of the cells in that box, those whose padded cube the triangle itself does not
-/// touch are left out.
-pub(super) fn cells_of(triangle: &[Vec3; 3], cube: &Cube, slack: f32) -> u64 {
+/// nearest to the middle. Of the cells in that box, those whose padded cube the surface itself does not touch
+/// are left out: for a sphere, those inside it too.
+pub(super) fn cells_of(surface: &Surface, cube: &Cube, slack: f32) -> u64 {
+    match surface {
+        Surface::Triangle(corners) => {
+            let corners = corners.map(|corner| cube.local(corner));
+            cells_touched(surface, cube, slack, |middle, half| touches(&corners, middle, half))
+        }
+        Surface::Sphere(Sphere { centre, radius }) => {
+            let (centre, radius) = (cube.local(*centre), f64::from(*radius));
+            cells_touched(surface, cube, slack, |middle, half| {
+                let low = middle.map(|x| x - half);
+                let high = middle.map(|x| x + half);
+                surface_touches(centre, radius, low, high)
+            })
+        }
+    }
+}
+
+/// The cells along the axes whose padded cube, given by its middle and half its edge, `touches`.
+fn cells_touched(surface: &Surface, cube: &Cube, slack: f32, touches: impl Fn([f64; 3], f64) -> bool) -> u64 {
     let (slack, edge) = (f64::from(slack), f64::from(cube.cell));
-    let corners = triangle.map(|corner| (corner.to_array(), cube.corner.to_array()));
-    // Relative to the cube's corner: exact in f64.
-    let corners = corners.map(|(p, o)| [0, 1, 2].map(|axis| f64::from(p[axis]) - f64::from(o[axis])));
-    let ranges = [0, 1, 2].map(|axis| {
-        let [a, b, c] = corners.map(|corner| corner[axis]);
-        cells_along(a.min(b).min(c), a.max(b).max(c), edge, slack)
-    });
-    let [xs, ys, zs] = ranges;
+    let (low, high) = extent(surface);
+    let corner = cube.corner.to_array().map(f64::from);
+    let [xs, ys, zs] =
+        [0, 1, 2].map(|axis| cells_along(low[axis] - corner[axis], high[axis] - corner[axis], edge, slack));
     let single = xs.0 == xs.1 && ys.0 == ys.1 && zs.0 == zs.1;
     let mut cells = 0;
     for z in zs.0..=zs.1 {
         for y in ys.0..=ys.1 {
             for x in xs.0..=xs.1 {
                 let middle = [x, y, z].map(|i| (f64::from(i) + 0.5) * edge);
-                if single || touches(&corners, middle, edge * 0.5 + slack) {
+                if single || touches(middle, edge * 0.5 + slack) {
                     cells |= 1 << cell_index([x, y, z]);
                 }
             }
@@ -116,16 +139,16 @@ mod tests {
     #[test]
     fn a_small_triangle_over_a_boundary_goes_to_one_cell() {
         let triangle = [Vec3::new(0.9, 0.5, 0.5), Vec3::new(1.15, 0.5, 0.5), Vec3::new(1.0, 0.6, 0.5)];
-        assert_eq!(cells_of(&triangle, &CUBE, 0.2), 1 << cell_index([1, 0, 0]));
-        assert_eq!(cells_of(&triangle, &CUBE, 0.01).count_ones(), 2);
+        assert_eq!(cells_of(&triangle.into(), &CUBE, 0.2), 1 << cell_index([1, 0, 0]));
+        assert_eq!(cells_of(&triangle.into(), &CUBE, 0.01).count_ones(), 2);
     }
 
     #[test]
     fn a_diagonal_triangle_leaves_out_the_cells_beside_it() {
         let triangle = [Vec3::new(0.0, 0.0, 0.1), Vec3::new(4.0, 4.0, 0.1), Vec3::new(4.0, 4.0, 0.2)];
         let diagonal = (0..4).fold(0, |cells, i| cells | 1 << cell_index([i, i, 0]));
-        assert_eq!(cells_of(&triangle, &CUBE, 0.01) & diagonal, diagonal);
-        assert_eq!(cells_of(&triangle, &CUBE, 0.01) & (1 << cell_index([3, 0, 0])), 0);
+        assert_eq!(cells_of(&triangle.into(), &CUBE, 0.01) & diagonal, diagonal);
+        assert_eq!(cells_of(&triangle.into(), &CUBE, 0.01) & (1 << cell_index([3, 0, 0])), 0);
     }
 
     #[test]
@@ -134,7 +157,7 @@ mod tests {
         for seed in 0..500 {
             let triangle = [corner(seed * 3), corner(seed * 3 + 1), corner(seed * 3 + 2)];
             for slack in [0.0_f32, 0.1, 0.7] {
-                let cells = cells_of(&triangle, &CUBE, slack);
+                let cells = cells_of(&triangle.into(), &CUBE, slack);
                 for sample in 0..50 {
                     let (u, v) = (hash(sample * 2), hash(sample * 2 + 1));
                     let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };

@@ -1,4 +1,4 @@
-//! Checks a mesh, scales it to unit size, and lays the cube of the grid around it.
+//! Checks a model, scales it to unit size, and lays the cube of the grid around it.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -6,14 +6,18 @@ use rt_core::Bounds;
 use rt_core::grid::{GridShape, LEVELS_MAX};
 use rt_core::image::SCALE_EXPONENT_MAX;
 use rt_core::scale::{Scale, exponent_of, power_of_two};
+use rt_core::sphere::Sphere;
+use rt_core::surface::Surface;
 
 use super::crowd::uncrowded;
+use super::surfaces::is_collapsed;
 use super::{BuildError, BuildOptions};
 use crate::mesh::Mesh;
+use crate::model::Model;
 
-/// A mesh in grid units, and where its grid lies.
+/// A model in grid units, and where its grid lies.
 pub(super) struct Prepared {
-    pub(super) mesh: Mesh,
+    pub(super) model: Model,
     pub(super) bounds: Bounds,
     /// `levels` is the most that make sense here; the grid may need fewer.
     pub(super) grid: GridShape,
@@ -21,47 +25,71 @@ pub(super) struct Prepared {
     pub(super) scale_exponent: i32,
 }
 
-pub(super) fn prepare(mut mesh: Mesh, options: &BuildOptions) -> Result<Prepared, BuildError> {
-    check(&mesh)?;
-    let bounds = mesh.bounds().ok_or(BuildError::NoTriangles)?;
+pub(super) fn prepare(mut model: Model, options: &BuildOptions) -> Result<Prepared, BuildError> {
+    check(&model)?;
+    let bounds = model.bounds().ok_or(BuildError::NoTriangles)?;
     let largest = bounds.low.abs().max(bounds.high.abs()).max_element();
     let scale_exponent = -exponent_of(largest);
-    let collapsed_everywhere = mesh.triangles.par_iter().all(|&triangle| is_collapsed(&mesh, triangle));
-    if collapsed_everywhere {
-        return Err(BuildError::AllCollapsed { triangles: mesh.triangles.len() });
+    let scale = Scale::new(scale_exponent);
+    scale_model(&mut model, scale);
+    if ids(&model).all(|id| is_collapsed(&model.surface(id))) {
+        let (triangles, spheres) = (model.mesh.triangles.len(), model.spheres.len());
+        return Err(BuildError::AllCollapsed { triangles, spheres });
     }
     if scale_exponent.abs() > SCALE_EXPONENT_MAX {
         return Err(BuildError::OutOfRange { largest });
     }
-    let scale = Scale::new(scale_exponent);
-    // Adding 0 makes -0 and 0 one number, so that equal points have equal bits.
-    mesh.positions.par_iter_mut().for_each(|position| *position = position.map(|x| scale.apply(x) + 0.0));
-    let typical_edge = typical_edge(&mesh);
+    let typical_edge = typical_edge(&model);
     let mut grid =
         cube_around(&Bounds { low: scale.apply_to(bounds.low), high: scale.apply_to(bounds.high) });
-    grid.slack = uncrowded(&mesh, &grid, (options.slack.max(0.0) * typical_edge).min(grid.size));
-    Ok(Prepared { mesh, bounds, grid, typical_edge, scale_exponent })
+    grid.slack = uncrowded(&model, &grid, (options.slack.max(0.0) * typical_edge).min(grid.size));
+    Ok(Prepared { model, bounds, grid, typical_edge, scale_exponent })
 }
 
-/// Whether two corners are the same point. Such a triangle has a determinant of exactly 0 for every ray, and
-/// is never hit.
-pub(super) fn is_collapsed(mesh: &Mesh, triangle: [u32; 3]) -> bool {
-    let [a, b, c] = corners(mesh, triangle);
-    a == b || b == c || c == a
+/// The numbers of all triangles and spheres.
+pub(super) fn ids(model: &Model) -> impl IndexedParallelIterator<Item = u32> + use<> {
+    (0..u32::try_from(model.count()).unwrap_or(u32::MAX)).into_par_iter()
 }
 
-/// Corners of a triangle whose indices were checked.
-pub(super) fn corners(mesh: &Mesh, triangle: [u32; 3]) -> [Vec3; 3] {
-    triangle.map(|vertex| Vec3::from(mesh.positions[vertex as usize]))
+fn scale_model(model: &mut Model, scale: Scale) {
+    // Adding 0 makes -0 and 0 one number, so that equal points have equal bits.
+    let positions = &mut model.mesh.positions;
+    positions.par_iter_mut().for_each(|position| *position = position.map(|x| scale.apply(x) + 0.0));
+    model.spheres.par_iter_mut().for_each(|sphere| {
+        let Sphere { centre, radius } = *sphere;
+        *sphere = Sphere { centre: scale.apply_to(centre) + 0.0, radius: scale.apply(radius) + 0.0 };
+    });
 }
 
-fn check(mesh: &Mesh) -> Result<(), BuildError> {
-    if mesh.triangles.is_empty() {
+fn check(model: &Model) -> Result<(), BuildError> {
+    if model.count() == 0 {
         return Err(BuildError::NoTriangles);
     }
-    if mesh.triangles.len() > TRIANGLES_MAX {
-        return Err(BuildError::TooManyTriangles { count: mesh.triangles.len() as u64 });
+    if model.count() > PRIMITIVES_MAX {
+        return Err(BuildError::TooManyTriangles { count: model.count() as u64 });
     }
+    if model.view.is_some_and(|view| !view.is_proper()) {
+        return Err(BuildError::View);
+    }
+    check_mesh(&model.mesh)?;
+    check_spheres(&model.spheres)
+}
+
+fn check_spheres(spheres: &[Sphere]) -> Result<(), BuildError> {
+    // Far enough below the largest number that a centre and a radius can be added.
+    let is_usable = |x: f32| x.abs() < f32::MAX * 0.25;
+    let unusable =
+        |sphere: &Sphere| !sphere.centre.to_array().into_iter().all(is_usable) || !is_usable(sphere.radius);
+    if let Some(sphere) = spheres.par_iter().position_first(unusable) {
+        return Err(BuildError::SphereNotFinite { sphere });
+    }
+    match spheres.par_iter().position_first(|sphere| sphere.radius < 0.0) {
+        Some(sphere) => Err(BuildError::NegativeRadius { sphere, radius: spheres[sphere].radius }),
+        None => Ok(()),
+    }
+}
+
+fn check_mesh(mesh: &Mesh) -> Result<(), BuildError> {
     if let Some(vertex) = mesh.positions.par_iter().position_first(|p| !p.iter().all(|x| x.is_finite())) {
         return Err(BuildError::NotFinite { vertex });
     }
@@ -74,15 +102,15 @@ fn check(mesh: &Mesh) -> Result<(), BuildError> {
     Ok(())
 }
 
-/// Length of a typical edge: within 6 % of the geometric mean.
+/// Length of a typical edge, a sphere's being its diameter: within 6 % of the geometric mean.
 ///
 /// The bits of a float, as an integer, are roughly its logarithm; their mean is exact and does not depend on
 /// the order of summation, so neither on threads. The geometric mean keeps a few huge triangles from deciding
 /// for millions of small ones.
-fn typical_edge(mesh: &Mesh) -> f32 {
-    let edges = mesh.triangles.par_iter().flat_map_iter(|&triangle| {
-        let [a, b, c] = corners(mesh, triangle);
-        [b - a, c - b, a - c].map(|edge| edge.length())
+fn typical_edge(model: &Model) -> f32 {
+    let edges = ids(model).flat_map_iter(|id| match model.surface(id) {
+        Surface::Triangle([a, b, c]) => [b - a, c - b, a - c].map(|edge| edge.length()),
+        Surface::Sphere(sphere) => [sphere.radius * 2.0, 0.0, 0.0],
     });
     let (sum, count) = edges
         .filter(|length| *length > 0.0)
@@ -134,5 +162,5 @@ const CORNER_EXPONENT: i32 = -22;
 /// A mesh smaller than this, compared with its largest coordinate, gets one level of cells.
 const SIZE_EXPONENT_MIN: i32 = -20;
 
-/// Triangles of a mesh are numbered with 31 bits, which leaves room for copies.
-const TRIANGLES_MAX: usize = 1 << 31;
+/// Triangles and spheres are numbered with 31 bits, which leaves room for copies.
+const PRIMITIVES_MAX: usize = 1 << 31;

@@ -1,30 +1,26 @@
-//! Merges neighbouring cells into runs whose triangles fit one cluster.
+//! Merges neighbouring cells into runs whose primitives fit one cluster, or one of each kind.
 
 use core::iter;
 use core::ops::Range;
 
-use glam::Vec3;
-use rt_core::Bounds;
-use rt_core::grid::{TRIANGLES_MAX, cell_coordinates};
+use rt_core::grid::{SPHERES_MAX, TRIANGLES_MAX};
+use rt_core::surface::Surface;
 
-use super::overlap::Cube;
-use super::prepare::corners;
+use super::local_box::{LocalBox, PaddedCell};
 use super::vertex_set::VertexSet;
-use crate::mesh::Mesh;
+use crate::model::Model;
 
 /// The runs of one branch under construction.
 ///
-/// Cells come in Morton order; each joins the last run if the triangles of both fit one cluster, else it
-/// starts a run of its own.
+/// Cells come in Morton order; each joins the last run if that holds the same kinds of primitives and those of
+/// both fit one cluster of each kind, else it starts a run of its own.
 #[derive(Debug)]
 pub(super) struct Runs {
-    /// Triangles of all chunks, one after the other.
-    pub(super) ids: Vec<u32>,
     pub(super) chunks: Vec<Chunk>,
     pub(super) list: Vec<Run>,
     /// Whether the last run may still grow.
     open: bool,
-    /// Vertices of the last chunk.
+    /// Vertices of the last chunk of triangles.
     vertices: VertexSet,
 }
 
@@ -41,149 +37,174 @@ pub(super) struct Run {
 /// What becomes a cluster.
 #[derive(Clone, Debug)]
 pub(super) struct Chunk {
-    pub(super) ids: Range<usize>,
+    pub(super) kind: Kind,
+    pub(super) ids: Vec<u32>,
+    /// Different corners of the triangles.
     pub(super) vertices: u8,
-    /// Box of the triangles' parts inside the padded cells of the run.
+    /// Box of the primitives' parts inside the padded cells of the run.
     pub(super) bounds: LocalBox,
 }
 
-/// A box that counts from the lowest corner of a branch; exact, wherever the branch lies.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct LocalBox {
-    pub(super) low: [f64; 3],
-    pub(super) high: [f64; 3],
-}
-
-impl LocalBox {
-    /// A box that holds nothing.
-    pub(super) const EMPTY: Self = Self { low: [f64::INFINITY; 3], high: [f64::NEG_INFINITY; 3] };
-
-    /// The smallest box that contains both.
-    pub(super) fn union(self, other: Self) -> Self {
-        let low = [0, 1, 2].map(|axis| self.low[axis].min(other.low[axis]));
-        let high = [0, 1, 2].map(|axis| self.high[axis].max(other.high[axis]));
-        Self { low, high }
-    }
-
-    /// The part inside the other box.
-    fn clip(self, other: &Self) -> Self {
-        let low = [0, 1, 2].map(|axis| self.low[axis].max(other.low[axis]));
-        let high = [0, 1, 2].map(|axis| self.high[axis].min(other.high[axis]));
-        Self { low, high }
-    }
-}
-
-/// A cell with its padding.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct PaddedCell {
-    /// Index of the cell.
-    pub(super) cell: u32,
-    /// Lowest corner of its branch.
-    pub(super) corner: Vec3,
-    pub(super) bounds: LocalBox,
-}
-
-impl PaddedCell {
-    pub(super) fn new(cube: &Cube, cell: u32, slack: f32) -> Self {
-        let (edge, slack) = (f64::from(cube.cell), f64::from(slack));
-        let low = cell_coordinates(cell).map(|i| f64::from(i) * edge - slack);
-        Self {
-            cell,
-            corner: cube.corner,
-            bounds: LocalBox { low, high: low.map(|x| x + edge + slack * 2.0) },
-        }
-    }
-
-    /// The part of a box in grid units inside the padded cell.
-    fn clip(&self, bounds: &Bounds) -> LocalBox {
-        let local = |point: Vec3| [0, 1, 2].map(|axis| f64::from(point[axis]) - f64::from(self.corner[axis]));
-        LocalBox { low: local(bounds.low), high: local(bounds.high) }.clip(&self.bounds)
-    }
+/// What a cluster is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Triangles,
+    Spheres,
 }
 
 impl Runs {
     pub(super) const fn new() -> Self {
-        Self {
-            ids: Vec::new(),
-            chunks: Vec::new(),
-            list: Vec::new(),
-            open: false,
-            vertices: VertexSet::new(),
-        }
+        Self { chunks: Vec::new(), list: Vec::new(), open: false, vertices: VertexSet::new() }
     }
 
-    /// Adds a cell to the last run or as a new one; `false` when its triangles alone are too many for a
-    /// cluster.
+    /// Adds a cell to the last run or as a new one; `false` when its primitives alone are too many for a cluster
+    /// of each kind.
     pub(super) fn add(
         &mut self,
-        mesh: &Mesh,
+        model: &Model,
         cell: &PaddedCell,
         ids: impl Iterator<Item = u32> + Clone,
     ) -> bool {
-        if self.open && self.extend(mesh, cell, ids.clone()) {
+        let kinds = [Kind::Triangles, Kind::Spheres].map(|kind| ids.clone().any(|id| kind.is_of(model, id)));
+        if self.open && self.kinds_of_last() == kinds && self.extend_last(model, cell, ids.clone()) {
             if let Some(run) = self.list.last_mut() {
                 run.cells |= 1 << cell.cell;
             }
             return true;
         }
-        self.begin_chunk();
-        self.open = self.extend(mesh, cell, ids);
-        if self.open {
-            self.list.push(Run {
-                cells: 1 << cell.cell,
-                chunks: self.chunks.len() - 1..self.chunks.len(),
-                is_list: false,
-            });
-        } else {
-            self.chunks.pop();
+        self.begin_run(cell, kinds);
+        self.open = self.extend_last(model, cell, ids);
+        if !self.open
+            && let Some(run) = self.list.pop()
+        {
+            self.chunks.truncate(run.chunks.start);
         }
         self.open
     }
 
     /// Adds a cell that cannot be split as a run of its own, in as many chunks as it takes.
-    pub(super) fn add_list(&mut self, mesh: &Mesh, cell: &PaddedCell, ids: impl Iterator<Item = u32>) {
+    pub(super) fn add_list(
+        &mut self,
+        model: &Model,
+        cell: &PaddedCell,
+        ids: impl Iterator<Item = u32> + Clone,
+    ) {
         let first = self.chunks.len();
-        self.begin_chunk();
-        for id in ids {
-            if !self.extend(mesh, cell, iter::once(id)) {
-                self.begin_chunk();
-                self.extend(mesh, cell, iter::once(id));
+        for kind in [Kind::Triangles, Kind::Spheres] {
+            let mut fits = false;
+            for id in ids.clone().filter(|&id| kind.is_of(model, id)) {
+                fits = fits && self.extend(self.chunks.len() - 1, model, cell, iter::once(id));
+                if !fits {
+                    self.begin_chunk(kind);
+                    fits = self.extend(self.chunks.len() - 1, model, cell, iter::once(id));
+                }
             }
         }
         self.open = false;
         self.list.push(Run { cells: 1 << cell.cell, chunks: first..self.chunks.len(), is_list: true });
     }
 
-    fn begin_chunk(&mut self) {
-        self.vertices.clear();
-        self.chunks.push(Chunk { ids: self.ids.len()..self.ids.len(), vertices: 0, bounds: LocalBox::EMPTY });
+    /// Begins a run of one cell with an empty chunk for each of the kinds.
+    fn begin_run(&mut self, cell: &PaddedCell, [triangles, spheres]: [bool; 2]) {
+        let first = self.chunks.len();
+        if triangles {
+            self.begin_chunk(Kind::Triangles);
+        }
+        if spheres {
+            self.begin_chunk(Kind::Spheres);
+        }
+        let chunks = first..self.chunks.len();
+        self.list.push(Run { cells: 1 << cell.cell, is_list: chunks.len() > 1, chunks });
     }
 
-    /// Adds the triangles of a cell to the last chunk, each once; `false`, and no triangle added, when they
-    /// do not fit.
-    fn extend(&mut self, mesh: &Mesh, cell: &PaddedCell, ids: impl Iterator<Item = u32>) -> bool {
-        let Some(chunk) = self.chunks.last_mut() else { return false };
-        let mut bounds = Bounds { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY };
-        for id in ids {
-            let triangle = corners(mesh, mesh.triangles[id as usize]);
-            for corner in triangle {
-                bounds = Bounds { low: bounds.low.min(corner), high: bounds.high.max(corner) };
-            }
-            let held = &self.ids[chunk.ids.start..];
-            if held.contains(&id) {
-                continue;
-            }
-            let fits = held.len() < usize::from(TRIANGLES_MAX)
-                && triangle.iter().all(|corner| self.vertices.insert(corner.to_array()).is_some());
-            if !fits {
-                self.ids.truncate(chunk.ids.end);
+    fn begin_chunk(&mut self, kind: Kind) {
+        if kind == Kind::Triangles {
+            self.vertices.clear();
+        }
+        self.chunks.push(Chunk { kind, ids: Vec::new(), vertices: 0, bounds: LocalBox::EMPTY });
+    }
+
+    fn kinds_of_last(&self) -> [bool; 2] {
+        let chunks = self.list.last().map_or(0..0, |run| run.chunks.clone());
+        let has = |kind| self.chunks[chunks.clone()].iter().any(|chunk| chunk.kind == kind);
+        [has(Kind::Triangles), has(Kind::Spheres)]
+    }
+
+    /// Adds the primitives of a cell to the chunks of the last run; `false`, and nothing added, when they do not
+    /// fit.
+    fn extend_last(
+        &mut self,
+        model: &Model,
+        cell: &PaddedCell,
+        ids: impl Iterator<Item = u32> + Clone,
+    ) -> bool {
+        let chunks = self.list.last().map_or(0..0, |run| run.chunks.clone());
+        // A run has one chunk or two; a state to come back to is needed for the first of two only.
+        let state = |chunk: &Chunk| (chunk.ids.len(), chunk.vertices, chunk.bounds);
+        let before = self.chunks[chunks.clone()].first().map(state);
+        for index in chunks.clone() {
+            let kind = self.chunks[index].kind;
+            if !self.extend(index, model, cell, ids.clone().filter(|&id| kind.is_of(model, id))) {
+                if let Some((length, vertices, bounds)) = before {
+                    let first = &mut self.chunks[chunks.start];
+                    first.ids.truncate(length);
+                    (first.vertices, first.bounds) = (vertices, bounds);
+                }
                 return false;
             }
-            self.ids.push(id);
         }
-        chunk.ids.end = self.ids.len();
-        chunk.vertices = self.vertices.count();
-        chunk.bounds = chunk.bounds.union(cell.clip(&bounds));
         true
+    }
+
+    /// Adds the primitives of a cell to a chunk of their kind, each once; `false`, and no primitive added, when
+    /// they do not fit.
+    fn extend(
+        &mut self,
+        index: usize,
+        model: &Model,
+        cell: &PaddedCell,
+        ids: impl Iterator<Item = u32>,
+    ) -> bool {
+        let chunk = &mut self.chunks[index];
+        let before = chunk.ids.len();
+        let mut bounds = LocalBox::EMPTY;
+        for id in ids {
+            let surface = model.surface(id);
+            bounds = bounds.union(cell.clip(&surface));
+            if chunk.ids.contains(&id) {
+                continue;
+            }
+            let fits = chunk.ids.len() < chunk.kind.count_max()
+                && match surface {
+                    Surface::Triangle(corners) => {
+                        corners.iter().all(|corner| self.vertices.insert(corner.to_array()).is_some())
+                    }
+                    Surface::Sphere(_) => true,
+                };
+            if !fits {
+                chunk.ids.truncate(before);
+                return false;
+            }
+            chunk.ids.push(id);
+        }
+        if chunk.kind == Kind::Triangles {
+            chunk.vertices = self.vertices.count();
+        }
+        chunk.bounds = chunk.bounds.union(bounds);
+        true
+    }
+}
+
+impl Kind {
+    fn is_of(self, model: &Model, id: u32) -> bool {
+        model.is_sphere(id) == (self == Self::Spheres)
+    }
+
+    /// Most primitives of a cluster.
+    fn count_max(self) -> usize {
+        usize::from(match self {
+            Self::Triangles => TRIANGLES_MAX,
+            Self::Spheres => SPHERES_MAX,
+        })
     }
 }

@@ -1,7 +1,9 @@
+use rt_core::sphere::Sphere;
 use rt_core::{Flat, Ray, SceneView, WorkCounts};
 
 use super::*;
 use crate::builtin::knot;
+use crate::mesh::Mesh;
 
 fn built(mesh: Mesh) -> Result<Vec<u8>, BuildError> {
     build(mesh, &BuildOptions::default(), &|_| {}).map(|scene| scene.to_bytes(4096).expect("fits"))
@@ -40,8 +42,8 @@ fn meshes_that_cannot_be_traced_are_refused_by_name() {
     let nan = triangle([corners[0], [0.0, f32::NAN, 0.0], corners[2]]);
     assert_eq!(built(nan), Err(BuildError::NotFinite { vertex: 1 }));
     let points = triangle([[3.0; 3]; 3]);
-    assert_eq!(built(points), Err(BuildError::AllCollapsed { triangles: 1 }));
-    assert_eq!(built(triangle([[0.0; 3]; 3])), Err(BuildError::AllCollapsed { triangles: 1 }));
+    assert_eq!(built(points), Err(BuildError::AllCollapsed { triangles: 1, spheres: 0 }));
+    assert_eq!(built(triangle([[0.0; 3]; 3])), Err(BuildError::AllCollapsed { triangles: 1, spheres: 0 }));
     for scale in [1.0e35, 1.0e-38] {
         let result = built(moved(triangle(corners), scale, 0.0));
         assert_eq!(result, Err(BuildError::OutOfRange { largest: scale }));
@@ -157,4 +159,45 @@ fn the_slack_trades_copies_for_padding() {
     let (none, half, two) = (primitives(0.0), primitives(0.5), primitives(2.0));
     assert!(none > half && half > two, "{none} {half} {two}");
     assert!(f64::from(two) < 1.01 * 20_000.0, "{two}");
+}
+
+#[test]
+fn spheres_that_cannot_be_traced_are_refused_by_name() {
+    let ball = Sphere { centre: glam::Vec3::ONE, radius: 0.5 };
+    let refused = |sphere: Sphere| build(vec![ball, sphere], &BuildOptions::default(), &|_| {}).err();
+    for radius in [f32::NAN, f32::INFINITY, f32::MAX] {
+        assert_eq!(refused(Sphere { radius, ..ball }), Some(BuildError::SphereNotFinite { sphere: 1 }));
+    }
+    let centre = glam::Vec3::new(0.0, f32::NEG_INFINITY, 0.0);
+    assert_eq!(refused(Sphere { centre, ..ball }), Some(BuildError::SphereNotFinite { sphere: 1 }));
+    let negative = Some(BuildError::NegativeRadius { sphere: 1, radius: -0.25 });
+    assert_eq!(refused(Sphere { radius: -0.25, ..ball }), negative);
+    assert_eq!(refused(Sphere { radius: 1.0e35, ..ball }), Some(BuildError::OutOfRange { largest: 1.0e35 }));
+    assert_eq!(refused(Sphere { radius: 0.0, ..ball }), None);
+
+    let points = vec![Sphere { radius: 0.0, ..ball }; 3];
+    let all_collapsed = BuildError::AllCollapsed { triangles: 0, spheres: 3 };
+    assert_eq!(build(points, &BuildOptions::default(), &|_| {}).err(), Some(all_collapsed));
+    let upside_down = Bounds { low: glam::Vec3::ONE, high: glam::Vec3::ZERO };
+    let model = Model { view: Some(upside_down), ..Model::from(vec![ball]) };
+    assert_eq!(build(model, &BuildOptions::default(), &|_| {}).err(), Some(BuildError::View));
+    let errors = [
+        BuildError::SphereNotFinite { sphere: 1 },
+        BuildError::NegativeRadius { sphere: 1, radius: -0.25 },
+        BuildError::AllCollapsed { triangles: 0, spheres: 3 },
+        BuildError::View,
+    ];
+    assert!(errors.iter().all(|error| !error.to_string().contains('\n')));
+}
+
+#[test]
+fn the_view_is_what_the_model_says_or_its_bounds() {
+    let header = |model: Model| {
+        build(model, &BuildOptions::default(), &|_| {}).expect("builds").header(4096).expect("fits")
+    };
+    let flake = header(crate::builtin::sphereflake(1));
+    assert_eq!((flake.view.low, flake.view.high), (glam::Vec3::splat(-2.0), glam::Vec3::splat(2.0)));
+    assert_eq!((flake.bounds.low.x, flake.bounds.high.z), (-8.0, 8.0));
+    let knot = header(knot(100).into());
+    assert_eq!(knot.view, knot.bounds);
 }

@@ -1,5 +1,5 @@
 //! `NO_ALLOC`: both cores linked into a program that has no allocator, no C library and no unwinder, and put to work
-//! in it: a page is faulted in, and a tile is traced. The exit code says how far it came; 0 is all the way.
+//! in it: a page is faulted in, and tiles of triangles and of spheres are traced. The exit code says how far it came; 0 is all the way.
 //!
 //! `./ci.sh nostd` builds it, runs it, and looks through its symbols.
 #![no_std]
@@ -22,7 +22,8 @@ use rt_core::{Flat, Frame, Kernel, Orbit, SceneView, TileId, Tiles, WorkCounts, 
 #[repr(align(4096))]
 struct Aligned<T: ?Sized>(T);
 
-static IMAGE: &Aligned<[u8]> = &Aligned(*include_bytes!(concat!(env!("OUT_DIR"), "/knot.msv")));
+static TRIANGLES: &Aligned<[u8]> = &Aligned(*include_bytes!(concat!(env!("OUT_DIR"), "/knot.msv")));
+static SPHERES: &Aligned<[u8]> = &Aligned(*include_bytes!(concat!(env!("OUT_DIR"), "/sphereflake.msv")));
 
 /// What goes wrong, as an exit code.
 #[derive(Clone, Copy)]
@@ -35,7 +36,10 @@ fn work() -> Result<(), Trouble> {
     for kind in PolicyKind::ALL {
         page_in(kind).ok_or(Trouble::Paging)?;
     }
-    trace().filter(|hits| *hits > 0).map(|_| ()).ok_or(Trouble::Tracing)
+    for image in [TRIANGLES, SPHERES] {
+        trace(&image.0).filter(|hits| *hits > 0).ok_or(Trouble::Tracing)?;
+    }
+    Ok(())
 }
 
 /// Faults on each page of another node in turn, through a cache of two.
@@ -76,9 +80,9 @@ fn drive(node: &mut Node<'_>, now: Instant) -> Option<()> {
 }
 
 /// Traces a small picture and counts the hits.
-fn trace() -> Option<u64> {
-    let scene = SceneView::new(Flat::new(&IMAGE.0)).ok()?;
-    let orbit = Orbit::around(&scene.header().bounds);
+fn trace(image: &[u8]) -> Option<u64> {
+    let scene = SceneView::new(Flat::new(image)).ok()?;
+    let orbit = Orbit::around(&scene.header().view);
     let place = OrbitPlace { radius: 0.75, elevation: 10.0, frame: 1, frames: 8 };
     let frame = Frame::on_orbit(&orbit, &place, 48, 32).ok()?;
     let tiles = Tiles::of(frame.width, frame.height);

@@ -1,4 +1,4 @@
-//! Built-in scenes, made by arithmetic alone, so that a first picture needs no file.
+//! A knot of triangles.
 
 use core::f64::consts::TAU;
 

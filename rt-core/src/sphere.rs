@@ -1,0 +1,299 @@
+//! Spheres: the ray-sphere test, and clusters of up to 32 spheres tested together.
+//!
+//! # The test
+//! With `f` from the ray's origin to the centre and `d` the direction, the ray passes the centre nearest at `m =
+//! f.d / d.d`, at a distance of `|f - m d|`; it meets the sphere at `m -+ sqrt((r^2 - |f - m d|^2) / d.d)`. The
+//! first of the two that is above 0, rounded to single precision, is the hit: from inside it is the second, and
+//! so it is from the surface itself.
+//!
+//! As for triangles, *single precision rejects, double precision decides*. The textbook's discriminant, `(f.d)^2 -
+//! d.d (f.f - r^2)`, loses all digits of `r` when the origin is far away; the distance from the ray loses
+//! none.
+//!
+//! # Error
+//! Let `e = 2^-53` and `X = |f|`, or `r` if that is larger. `m d` is off by `8 e X`, along the ray; the distance
+//! to the ray by `4 e X`; both roots together by `20 e X` across the surface, or less. So before it is rounded to
+//! single precision, **a hit lies within `2^-47` of the largest coordinate of `f` (or of `r`) from the true
+//! sphere**, also where the ray touches it and its place along the ray is ill-defined. [`walk`](crate::walk)
+//! relies on that.
+//!
+//! # Layout of a cluster
+//! With `n` spheres, rounded up to a multiple of 4 (`n4`): `x: [f32; n4]`, `y`, `z`, `radius`. Lanes beyond the
+//! count repeat the last sphere. The count stands in the leaf. A cluster begins at a multiple of 16 bytes and
+//! never crosses a page.
+//!
+//! # Source
+//! Haines, Günther and Akenine-Möller, "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems,
+//! 2019, chapter 7. We differ: in double precision their second remedy, for roots that cancel, is not needed.
+
+use glam::Vec3;
+
+use crate::cluster::Nearest;
+use crate::cluster::quads;
+use crate::count::Count;
+use crate::filter::Filter;
+use crate::grid::{SPHERES_MAX, SpheresRef};
+use crate::ray::Primitive;
+use crate::shade::{difference, unit};
+use crate::surface::Surface;
+use crate::triangle_woop::Crossing;
+
+/// A sphere: the points at `radius` from `centre`.
+///
+/// # Edge cases
+/// A radius that is 0, negative or NaN makes a sphere that no ray hits.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sphere {
+    /// The middle.
+    pub centre: Vec3,
+    /// Distance of the surface from it.
+    pub radius: f32,
+}
+
+/// A ray as the test wants it. The largest component of the direction is in `1..2`.
+#[derive(Clone, Copy, Debug)]
+pub struct SphereRay {
+    origin: Vec3,
+    direction: Vec3,
+}
+
+impl SphereRay {
+    /// Prepares a ray, whose direction is normalised by a power of two.
+    #[inline]
+    pub const fn new(origin: Vec3, direction: Vec3) -> Self {
+        Self { origin, direction }
+    }
+
+    /// Where the ray meets the sphere with `0 < t <= t_max`; from outside and from inside. The weights are 0.
+    ///
+    /// # Edge cases
+    /// A ray that touches the sphere hits it. One that starts on it may meet its other side, not where it
+    /// starts.
+    #[inline]
+    pub fn intersect(&self, sphere: &Sphere, t_max: f32) -> Option<Crossing> {
+        let t = single(self.root(sphere)?);
+        (t > 0.0 && t <= t_max).then_some(Crossing { t, u: 0.0, v: 0.0 })
+    }
+
+    /// Unit normal, outwards, where the ray meets the sphere.
+    ///
+    /// The hit less the centre, before the hit is rounded: so it is exact for a speck far away too. Against the
+    /// ray where there is none.
+    pub fn normal(&self, sphere: &Sphere) -> Vec3 {
+        let to_centre = difference(sphere.centre, self.origin);
+        let direction = double(self.direction);
+        let t = self.root(sphere).unwrap_or(0.0);
+        match [0, 1, 2].map(|axis| t * direction[axis] - to_centre[axis]) {
+            [0.0, 0.0, 0.0] => unit(direction.map(|component| -component)),
+            outwards => unit(outwards),
+        }
+    }
+
+    /// The first root above 0, in `f64`; or what is left when there is none.
+    #[inline]
+    fn root(&self, sphere: &Sphere) -> Option<f64> {
+        let direction = double(self.direction);
+        let to_centre = difference(sphere.centre, self.origin);
+        let radius = f64::from(sphere.radius);
+        let length_squared = dot(direction, direction);
+        let middle = dot(to_centre, direction) / length_squared;
+        let across = [0, 1, 2].map(|axis| to_centre[axis] - middle * direction[axis]);
+        let under = radius * radius - dot(across, across);
+        // Written so that a NaN anywhere fails it.
+        if !(radius > 0.0 && under >= 0.0) {
+            return None;
+        }
+        let half = libm::sqrt(under / length_squared);
+        let first = middle - half;
+        Some(if single(first) > 0.0 { first } else { middle + half })
+    }
+}
+
+/// The arrays of a cluster of spheres, borrowed from a record of [`spheres_bytes`] bytes.
+#[derive(Clone, Copy, Debug)]
+pub struct SphereCluster<'a> {
+    /// Centres' coordinates, then radii.
+    lanes: [&'a [[u8; 4]]; 4],
+    place: SpheresRef,
+}
+
+impl<'a> SphereCluster<'a> {
+    /// Splits the record of the cluster at `place`, or `None` when the record is too short.
+    #[inline]
+    pub fn new(record: &'a [u8], place: &SpheresRef) -> Option<Self> {
+        let n4 = quads(place.count);
+        let (floats, _) = record.get(..n4 * 16)?.as_chunks::<4>();
+        let lanes = [0, 1, 2, 3].map(|lane| &floats[n4 * lane..n4 * (lane + 1)]);
+        Some(Self { lanes, place: *place })
+    }
+
+    /// Address-order index of sphere `index`.
+    #[inline]
+    pub fn primitive(&self, index: usize) -> Primitive {
+        #[expect(clippy::cast_possible_truncation, reason = "an index below 32")]
+        Primitive(self.place.first.wrapping_add(index as u32))
+    }
+
+    /// Sphere `index`, in grid units; one that the record does not have has no radius.
+    #[inline]
+    pub fn sphere(&self, index: usize) -> Sphere {
+        let [x, y, z, radius] =
+            self.lanes.map(|lane| lane.get(index).map_or(0.0, |&bytes| f32::from_le_bytes(bytes)));
+        Sphere { centre: Vec3::new(x, y, z), radius }
+    }
+
+    /// Offers every sphere that the ray hits and `filter` accepts to `nearest`; with `ANY`, stops at the first.
+    ///
+    /// The plain way to the same result is [`SphereRay::intersect`] for each sphere.
+    pub fn intersect_filtered<const ANY: bool>(
+        &self,
+        ray: &SphereRay,
+        nearest: &mut Nearest,
+        filter: &mut impl Filter,
+        count: &mut impl Count,
+    ) {
+        count.cluster();
+        count.spheres(u32::from(self.place.count));
+        let mut candidates = self.candidates(ray, nearest.crossing.t);
+        while candidates != 0 {
+            let index = candidates.trailing_zeros() as usize;
+            candidates &= candidates - 1;
+            let sphere = self.sphere(index);
+            if let Some(crossing) = ray.intersect(&sphere, nearest.crossing.t) {
+                let (primitive, surface) = (self.primitive(index), Surface::Sphere(sphere));
+                if !filter.accepts(&crossing, primitive, &surface) {
+                    continue;
+                }
+                nearest.offer(crossing, primitive, surface);
+                if ANY {
+                    return;
+                }
+            }
+        }
+    }
+
+    /// The spheres that single precision cannot reject, one bit each.
+    ///
+    /// `|f x d| > r |d|` rejects, and so does a sphere that lies behind the origin or beyond `t_max`. With `e =
+    /// 2^-24` and `s = |f_x| + |f_y| + |f_z|`, the cross product is off by at most `6 e s |d|` and `f.d` by `5 e s
+    /// d.d`, so `16 e s` more for the radius makes up for both; a millionth on top for the squares, and a
+    /// smallest number for squares that underflow. A NaN rejects nothing.
+    #[inline]
+    fn candidates(&self, ray: &SphereRay, t_max: f32) -> u32 {
+        let count = usize::from(self.place.count).min(LANES);
+        let [Some(xs), Some(ys), Some(zs), Some(radii)] = self.lanes.map(|lane| lane.get(..count)) else {
+            return 0;
+        };
+        let (o, d) = (ray.origin, ray.direction);
+        let length_squared = d.x * d.x + d.y * d.y + d.z * d.z;
+        let far = t_max * length_squared;
+        let mut rejected = [0_u32; LANES];
+        for lane in 0..count {
+            let [x, y, z, radius] = [xs[lane], ys[lane], zs[lane], radii[lane]].map(f32::from_le_bytes);
+            let (x, y, z) = (x - o.x, y - o.y, z - o.z);
+            let reach = (radius + (x.abs() + y.abs() + z.abs()) * MARGIN) * (1.0 + MARGIN);
+            let across = [y * d.z - z * d.y, z * d.x - x * d.z, x * d.y - y * d.x];
+            let across = across[0] * across[0] + across[1] * across[1] + across[2] * across[2];
+            let along = x * d.x + y * d.y + z * d.z;
+            let ahead = reach * length_squared;
+            rejected[lane] = u32::from(across > reach * ahead + f32::MIN_POSITIVE)
+                | u32::from(along + ahead < 0.0)
+                | u32::from(along - ahead > far);
+        }
+        (0..count).fold(0, |candidates, lane| candidates | u32::from(rejected[lane] == 0) << lane)
+    }
+}
+
+/// Length of the record of a cluster of spheres in bytes, a multiple of 16.
+#[inline]
+pub const fn spheres_bytes(count: u8) -> usize {
+    quads(count) * 16
+}
+
+#[inline]
+fn double(vector: Vec3) -> [f64; 3] {
+    vector.to_array().map(f64::from)
+}
+
+#[inline]
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[inline]
+const fn single(value: f64) -> f32 {
+    #[expect(clippy::cast_possible_truncation, reason = "rounding to single precision is the result")]
+    let single = value as f32;
+    single
+}
+
+const LANES: usize = SPHERES_MAX as usize;
+
+/// `16 e`, and about a millionth.
+const MARGIN: f32 = crate::scale::power_of_two(-20);
+
+const _: () = assert!(SPHERES_MAX as u32 <= u32::BITS);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BALL: Sphere = Sphere { centre: Vec3::new(1.0, 2.0, 3.0), radius: 0.5 };
+
+    fn down(x: f32, y: f32, z: f32) -> SphereRay {
+        SphereRay::new(Vec3::new(x, y, z), Vec3::NEG_Z)
+    }
+
+    fn t(ray: &SphereRay, sphere: &Sphere) -> Option<f32> {
+        ray.intersect(sphere, f32::INFINITY).map(|crossing| crossing.t)
+    }
+
+    #[test]
+    fn from_outside_the_near_side_from_inside_the_far_one() {
+        assert_eq!(t(&down(1.0, 2.0, 5.0), &BALL), Some(1.5));
+        assert_eq!(t(&down(1.0, 2.0, 3.25), &BALL), Some(0.75));
+        assert_eq!(t(&down(1.0, 2.0, 2.0), &BALL), None);
+        assert_eq!(down(1.0, 2.0, 5.0).normal(&BALL), Vec3::Z);
+        assert_eq!(down(1.0, 2.0, 3.25).normal(&BALL), Vec3::NEG_Z);
+    }
+
+    #[test]
+    fn a_ray_that_starts_on_it_meets_its_other_side() {
+        assert_eq!(t(&down(1.0, 2.0, 3.5), &BALL), Some(1.0));
+        assert_eq!(t(&down(1.0, 2.0, 2.5), &BALL), None);
+    }
+
+    #[test]
+    fn a_ray_that_touches_it_hits_and_the_next_one_misses() {
+        assert_eq!(t(&down(1.5, 2.0, 5.0), &BALL), Some(2.0));
+        assert_eq!(t(&down(1.5_f32.next_up(), 2.0, 5.0), &BALL), None);
+        assert_eq!(down(1.5, 2.0, 5.0).normal(&BALL), Vec3::X);
+    }
+
+    #[test]
+    fn t_max_is_inclusive() {
+        let ray = down(1.0, 2.0, 5.0);
+        assert!(ray.intersect(&BALL, 1.5).is_some() && ray.intersect(&BALL, 1.5_f32.next_down()).is_none());
+    }
+
+    #[test]
+    fn what_is_no_sphere_is_never_hit() {
+        for radius in [0.0, -0.0, -0.5, f32::NAN, f32::NEG_INFINITY] {
+            assert_eq!(t(&down(1.0, 2.0, 5.0), &Sphere { radius, ..BALL }), None, "radius {radius}");
+        }
+        let nowhere = Sphere { centre: Vec3::NAN, radius: 1.0 };
+        assert_eq!(t(&down(1.0, 2.0, 5.0), &nowhere), None);
+    }
+
+    #[test]
+    fn a_speck_far_away_is_as_round_as_a_ball_nearby() {
+        // Its radius is a thousandth of the last bit of its distance, in single precision.
+        let speck = Sphere { centre: Vec3::new(0.0, 0.0, -8.0e6), radius: 2.0_f32.powi(-11) };
+        let ray = SphereRay::new(Vec3::new(2.0_f32.powi(-12), 0.0, 0.0), Vec3::NEG_Z);
+        assert_eq!(t(&ray, &speck), Some(8.0e6));
+        let expected = Vec3::new(0.5, 0.0, libm::sqrtf(0.75));
+        assert!((ray.normal(&speck) - expected).abs().max_element() < 1.0e-6, "{}", ray.normal(&speck));
+        let beside = SphereRay::new(Vec3::new(2.0_f32.powi(-11).next_up(), 0.0, 0.0), Vec3::NEG_Z);
+        assert_eq!(t(&beside, &speck), None);
+    }
+}
