@@ -6,6 +6,7 @@ use core::sync::atomic::{AtomicUsize, Ordering};
 use core::time::Duration;
 use std::os::fd::AsFd;
 use std::sync::Barrier;
+use std::sync::RwLock;
 use std::time::Instant;
 
 use common::{Numbers, OTHER, Scene, read_word, word};
@@ -272,16 +273,21 @@ fn no_more_pages_are_resident_than_there_are_slots() {
         let region = scene.region(Some(backend));
         let pages = scene.page_file(OTHER);
         let most = AtomicUsize::new(0);
+        // The system's count goes page by page: nothing may come or go meanwhile.
+        let still = RwLock::new(());
         std::thread::scope(|scope| {
             for thread in 1..=2 {
-                let (region, pages, most) = (&region, &pages, &most);
+                let (region, pages, most, still) = (&region, &pages, &most, &still);
                 scope.spawn(move || {
                     let attached = region.attach(scene.port(pages)).unwrap();
                     let mut numbers = Numbers(thread);
                     for round in 0..4000 {
                         let page = numbers.below(scene.pages);
+                        let reading = still.read().unwrap();
                         assert_eq!(read_word(attached.bytes(), 4096, page, 5), word(page, 5));
+                        drop(reading);
                         if round % 100 == 0 {
+                            let _counting = still.write().unwrap();
                             most.fetch_max(resident_pages(attached.bytes()), Ordering::Relaxed);
                         }
                     }
