@@ -8,8 +8,10 @@
 //! # The path of a ray
 //! [`SceneView::new`] checks the header of an image once. [`SceneView::nearest`] brings a [`Ray`] into the
 //! image's own units ([`scale`]), walks the grid front to back ([`walk`]), tests the triangles and spheres of the
-//! clusters it meets ([`cluster`], [`triangle_woop`], [`sphere`]) and answers with a [`Hit`]. [`render_tile`] does so for
-//! the rays of one tile of a [`Frame`], with a hard shadow each.
+//! clusters it meets ([`cluster`], [`triangle_woop`], [`sphere`]) and answers with a [`Hit`]. [`render_tile`] draws one
+//! tile of a [`Frame`], with hard shadows: ray by ray, or as one *beam* that takes 256 rays through the grid at once.
+//! A beam only proposes what each pixel may show; where its rounding leaves a doubt, the pixel's ray decides. So both
+//! draw the same bytes, with any [`Lanes`], and the [`Kernel`] is a choice of speed alone.
 //!
 //! # What a scene does not need
 //! A scene of triangles runs no instruction for spheres, nor the other way round ([`kinds`]). The features
@@ -21,8 +23,7 @@
 //!
 //! # Same bits everywhere
 //! Whatever decides a result uses only `+ - * /` and `sqrt` in one stated order, without fused multiply-add,
-//! so every machine computes the same bits. Only culling uses vector types; it is conservative, and its
-//! decisions do not show in the result.
+//! so every machine computes the same bits. Culling is conservative, and its decisions do not show in the result.
 //!
 //! # Bytes that lie
 //! An image whose checksums pass may still lie. Every index read from it is checked, the work of a ray is

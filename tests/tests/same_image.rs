@@ -5,6 +5,7 @@
 //! pairs of values occur; `./ci.sh same-image` runs all (`MEMSAVVY_ALL=1`).
 
 use memsavvy::report::RunReport;
+use rt_core::Kernel;
 use tests::{Folder, data, render, run_well};
 
 const NODES: [u32; 3] = [1, 2, 4];
@@ -114,6 +115,21 @@ fn same_image_of_the_dragon() {
 fn same_image_of_spheres_and_triangles() {
     // Deep enough that 8 % of its pages are some. The share divides none of the counts, as the stride does not.
     same_image("sphereflake:4", "sphereflake", "128x96", 5);
+}
+
+#[test]
+fn any_kernel_draws_the_same() {
+    let folder = Folder::new("kernels");
+    let image = folder.file("knot.msv");
+    run_well(&["prepare", "--builtin", "20000", "-o", &image, "--quiet"]);
+    let view = [image.as_str(), "--size", "200x150", "--frames", "2", "--nodes", "2", "--memory", "60%"];
+    let draw = |kernel: Kernel| render(&folder, &[&view[..], &["--kernel", kernel.name()]].concat());
+    let expected = draw(Kernel::Rays);
+    for kernel in Kernel::available() {
+        let report = draw(kernel);
+        assert_eq!(hashes(&report), hashes(&expected), "SAME_IMAGE: {kernel}");
+        assert!(report.nodes.iter().all(|node| node.kernel == kernel.name()), "{kernel}");
+    }
 }
 
 #[test]
