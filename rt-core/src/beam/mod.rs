@@ -30,6 +30,7 @@
 mod edges;
 mod frustum;
 mod pixels;
+mod points;
 mod projection;
 mod samples;
 mod surface;
@@ -48,8 +49,9 @@ use crate::view::Damaged;
 use crate::walk::walk as walk_by_ray;
 use frustum::Frustum;
 use pixels::{ByBlock, Pixels};
+use points::{POINTS_MAX, Points};
 use projection::Projection;
-use samples::{Points, Samples};
+use samples::Samples;
 use surface::{Lighting, surface};
 use walk::{Beam, walk};
 
@@ -199,7 +201,7 @@ fn by_beam<S: Simd, M: SceneMemory, C: Count>(
     projection: &Projection,
     view: &TileView<'_, M>,
     work: &mut C,
-) -> Result<Option<[bool; samples::SAMPLES_MAX]>, Damaged> {
+) -> Result<Option<[bool; POINTS_MAX]>, Damaged> {
     let [columns, rows] = Samples::borders();
     let Some(frustum) = Frustum::new(s, projection, &columns, &rows, &view.scene.header().grid) else {
         return Ok(None);
@@ -213,8 +215,8 @@ fn by_rays<M: SceneMemory, C: Count>(
     points: &Points,
     view: &TileView<'_, M>,
     work: &mut C,
-) -> Result<[bool; samples::SAMPLES_MAX], Damaged> {
-    let mut shadowed = [false; samples::SAMPLES_MAX];
+) -> Result<[bool; POINTS_MAX], Damaged> {
+    let mut shadowed = [false; POINTS_MAX];
     for (index, shadowed) in shadowed.iter_mut().take(points.count).enumerate() {
         let point = points.get(index);
         let ray = GridRay::new(point, view.light - point, 1.0, Scale::ONE, &view.scene.header().grid);

@@ -4,22 +4,12 @@ use glam::Vec3;
 
 use super::edges::{Extent, Margins, cover};
 use super::frustum::{Borders, Depths};
+use super::points::{POINTS_MAX, Points};
 use super::projection::{Projected, Projection};
 use super::walk::{Bounds, Targets, Triangles};
 use crate::cluster::{Cluster, Nearest};
-use crate::simd::{LANES, Mask, Part, Simd, each};
+use crate::simd::{LANES, Mask, Part, Simd, each, first_lanes};
 use crate::triangle_woop::WoopRay;
-
-/// Most samples of a tile.
-pub(super) const SAMPLES_MAX: usize = 256;
-
-/// Points that light may fall on.
-pub(super) struct Points {
-    pub(super) x: [f32; SAMPLES_MAX],
-    pub(super) y: [f32; SAMPLES_MAX],
-    pub(super) z: [f32; SAMPLES_MAX],
-    pub(super) count: usize,
-}
 
 /// The samples, in the order of a space-filling curve through the projection plane, in *groups* of sixteen.
 pub(super) struct Samples<'a> {
@@ -39,7 +29,7 @@ pub(super) struct Samples<'a> {
     top: [f32; GROUPS],
     bottom: [f32; GROUPS],
     far: [f32; GROUPS],
-    pub(super) shadowed: [bool; SAMPLES_MAX],
+    pub(super) shadowed: [bool; POINTS_MAX],
     depths: Depths,
     /// Samples shadowed since the depths were found, and samples that are open.
     news: u32,
@@ -47,71 +37,10 @@ pub(super) struct Samples<'a> {
 }
 
 /// Groups of samples.
-const GROUPS: usize = SAMPLES_MAX / LANES;
+const GROUPS: usize = POINTS_MAX / LANES;
 
 /// Rows and columns of the plane, along which samples are sorted.
 const LINES: usize = 8;
-
-impl Points {
-    pub(super) const fn new() -> Self {
-        Self { x: [0.0; SAMPLES_MAX], y: [0.0; SAMPLES_MAX], z: [0.0; SAMPLES_MAX], count: 0 }
-    }
-
-    #[inline(always)]
-    pub(super) fn push(&mut self, [x, y, z]: [f32; 3]) {
-        self.x[self.count] = x;
-        self.y[self.count] = y;
-        self.z[self.count] = z;
-        self.count += 1;
-    }
-
-    pub(super) const fn get(&self, index: usize) -> Vec3 {
-        Vec3::new(self.x[index], self.y[index], self.z[index])
-    }
-
-    /// Sixteen points from `first` on; those beyond the count repeat it.
-    #[inline(always)]
-    fn load<S: Simd>(&self, s: S, first: usize) -> [S::F; 3] {
-        let lanes = first_lanes(self.count - first);
-        each!(3: [&self.x, &self.y, &self.z], from => s.select(lanes, s.load(chunk(from, first)), s.splat(from[first])))
-    }
-
-    /// The projection in which the points fill the plane, or `None` when they are seen from the light in too wide an
-    /// angle.
-    #[inline(always)]
-    pub(super) fn projection<S: Simd>(&self, s: S, light: Vec3) -> Option<Projection> {
-        let mut sum = Vec3::ZERO;
-        for index in 0..self.count {
-            sum += self.get(index);
-        }
-        let depth = unit(sum / self.count as f32 - light)?;
-        let aside = if depth.x.abs() < 0.6 { Vec3::X } else { Vec3::Y };
-        let x = unit(depth.cross(aside))?;
-        let y = depth.cross(x);
-        let plain = Projection::new(light, [x, y, depth], 0.5, 1.0)?;
-        let infinite = s.splat(f32::INFINITY);
-        let (mut low, mut high) = ([infinite; 2], [infinite; 2]);
-        for first in (0..self.count).step_by(LANES) {
-            let Projected { x, y, w } = plain.project(s, self.load(s, first));
-            if s.lt(s.splat(0.0), w) != Mask::MAX {
-                return None;
-            }
-            low = [s.min(low[0], x), s.min(low[1], y)];
-            let [x, y] = each!(2: [x, y], value => s.sub(s.splat(0.0), value));
-            high = [s.min(high[0], x), s.min(high[1], y)];
-        }
-        let low = each!(2: low, value => s.least(value));
-        let high = each!(2: high, value => -s.least(value));
-        let slant = low[0].abs().max(high[0].abs()) + low[1].abs().max(high[1].abs());
-        if slant > 0.75 {
-            return None;
-        }
-        // At least so large that places on the plane can be told apart.
-        let unit = [0, 1].map(|axis: usize| ((high[axis] - low[axis]) * (1.0 / 7.875)).max(UNIT_MIN));
-        let rows = [(x - depth * low[0]) / unit[0], (y - depth * low[1]) / unit[1], depth];
-        Projection::new(light, rows, unit[0].max(unit[1]), 1.0 + slant)
-    }
-}
 
 impl<'a> Samples<'a> {
     #[inline(always)]
@@ -136,7 +65,7 @@ impl<'a> Samples<'a> {
             top: [f32::INFINITY; GROUPS],
             bottom: [f32::NEG_INFINITY; GROUPS],
             far: [f32::INFINITY; GROUPS],
-            shadowed: [false; SAMPLES_MAX],
+            shadowed: [false; POINTS_MAX],
             depths: Depths::new([f32::INFINITY; LANES]),
             news: 0,
             left_open: points.count as u32,
@@ -156,7 +85,7 @@ impl<'a> Samples<'a> {
     #[inline(always)]
     fn sort(&mut self, place: &[[[f32; LANES]; GROUPS]; 3]) {
         let [x, y, w] = place.each_ref().map(|values| values.as_flattened());
-        let (mut bins, mut next) = ([0_u8; SAMPLES_MAX], [0_u16; LINES * LINES]);
+        let (mut bins, mut next) = ([0_u8; POINTS_MAX], [0_u16; LINES * LINES]);
         for index in 0..self.points.count {
             let bin = CURVE[line(x[index])] | CURVE[line(y[index])] << 1;
             bins[index] = bin;
@@ -500,24 +429,3 @@ const CURVE: [u8; LINES] = [0, 1, 4, 5, 16, 17, 20, 21];
 fn line(place: f32) -> usize {
     place.max(0.0).min(LINES as f32 - 1.0) as usize
 }
-
-/// Sixteen entries from `first` on.
-#[inline(always)]
-fn chunk<const N: usize>(from: &[f32; N], first: usize) -> &[f32; LANES] {
-    // Where fewer are left, the last sixteen; no caller gets there.
-    let first = first.min(N - LANES);
-    from[first..].first_chunk().unwrap_or(&[0.0; LANES])
-}
-
-#[inline(always)]
-const fn first_lanes(count: usize) -> Mask {
-    if count >= LANES { Mask::MAX } else { (1 << count) - 1 }
-}
-
-fn unit(v: Vec3) -> Option<Vec3> {
-    let length = libm::sqrtf(v.dot(v));
-    (length.is_finite() && length > 1.0e-18).then(|| v / length)
-}
-
-/// Smallest unit, as an angle.
-const UNIT_MIN: f32 = 1.0 / 2048.0;

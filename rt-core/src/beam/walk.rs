@@ -8,7 +8,7 @@ use crate::cluster::Cluster;
 use crate::count::Count;
 use crate::grid::{BoxFrame, Branch, ClusterRef, LEVELS_MAX, LeafContent, cell_coordinates, flip_cells};
 use crate::memory::SceneMemory;
-use crate::simd::{LANES, Mask, Part, Simd, each};
+use crate::simd::{LANES, Mask, Part, Simd, each, first_lanes};
 use crate::view::{Damaged, SceneView};
 use crate::walk::Budget;
 
@@ -374,12 +374,6 @@ struct Vertices {
     w: [[f32; LANES]; 2],
     delta: f32,
     bounds: Bounds,
-}
-
-/// A mask of the first `count` lanes.
-#[inline(always)]
-const fn first_lanes(count: usize) -> Mask {
-    if count >= LANES { Mask::MAX } else { (1 << count) - 1 }
 }
 
 /// Largest inverse depth, in grid units: nearer to the eye than 2^-20 of the scene rays take over.

@@ -44,7 +44,7 @@ macro_rules! both {
 
 /// The sign bits of both halves.
 #[inline(always)]
-#[allow(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "eight bits each")]
+#[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "eight bits each")]
 fn signs([low, high]: [__m256; 2]) -> Mask {
     with!(_mm256_movemask_ps(low)) as Mask | (with!(_mm256_movemask_ps(high)) as Mask) << 8
 }
@@ -289,7 +289,7 @@ impl Simd for Avx2 {
         let mut mask = 0;
         for (at, quarter) in a.into_iter().enumerate() {
             let equal = with!(_mm256_cmp_pd::<_CMP_EQ_OQ>(quarter, zero));
-            #[allow(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "four bits")]
+            #[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "four bits")]
             let bits = with!(_mm256_movemask_pd(equal)) as Mask;
             mask |= bits << (4 * at);
         }

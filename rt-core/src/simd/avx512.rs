@@ -3,7 +3,7 @@
 
 use core::arch::x86_64::*;
 
-use super::{Kind, LANES, Mask, Part, Simd, Task};
+use super::{Kind, LANES, Mask, Part, Simd, Task, first_lanes};
 
 /// The proof that the processor has AVX-512 F, DQ, BW and VL.
 #[derive(Clone, Copy)]
@@ -37,12 +37,6 @@ macro_rules! with {
     };
 }
 
-/// A mask of the first `count` lanes.
-#[inline(always)]
-fn first(count: usize) -> Mask {
-    if count >= LANES { Mask::MAX } else { (1 << count) - 1 }
-}
-
 impl Simd for Avx512 {
     type F = __m512;
     type I = __m512i;
@@ -65,7 +59,7 @@ impl Simd for Avx512 {
 
     #[inline(always)]
     fn load_le(self, from: &[[u8; 4]]) -> Self::F {
-        with!(_mm512_maskz_loadu_ps(first(from.len()), from.as_ptr().cast()))
+        with!(_mm512_maskz_loadu_ps(first_lanes(from.len()), from.as_ptr().cast()))
     }
 
     #[inline(always)]
@@ -141,7 +135,7 @@ impl Simd for Avx512 {
 
     #[inline(always)]
     fn bytes(self, from: &[u8]) -> Self::I {
-        let bytes = with!(_mm_maskz_loadu_epi8(first(from.len()), from.as_ptr().cast()));
+        let bytes = with!(_mm_maskz_loadu_epi8(first_lanes(from.len()), from.as_ptr().cast()));
         with!(_mm512_cvtepu8_epi32(bytes))
     }
 

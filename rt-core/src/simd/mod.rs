@@ -87,6 +87,12 @@ pub(crate) type Mask = u16;
 /// How many lanes there are.
 pub(crate) const LANES: usize = 16;
 
+/// A mask of the first `count` lanes, or of all.
+#[inline(always)]
+pub(crate) const fn first_lanes(count: usize) -> Mask {
+    if count >= LANES { Mask::MAX } else { (1 << count) - 1 }
+}
+
 /// Operations on sixteen lanes. The value is the proof that the processor has them.
 ///
 /// `min`, `max` and comparisons treat NaN as the x86 instructions do: `min` and `max` give the second operand,

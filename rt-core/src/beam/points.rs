@@ -1,0 +1,94 @@
+//! The points of a tile that light may fall on, and the plane on which the light sees them.
+
+use glam::Vec3;
+
+use super::projection::{Projected, Projection};
+use crate::simd::{LANES, Mask, Simd, each, first_lanes};
+
+/// Most points of a tile.
+pub(super) const POINTS_MAX: usize = 256;
+
+/// Points that light may fall on.
+pub(super) struct Points {
+    x: [f32; POINTS_MAX],
+    y: [f32; POINTS_MAX],
+    z: [f32; POINTS_MAX],
+    pub(super) count: usize,
+}
+
+impl Points {
+    pub(super) const fn new() -> Self {
+        Self { x: [0.0; POINTS_MAX], y: [0.0; POINTS_MAX], z: [0.0; POINTS_MAX], count: 0 }
+    }
+
+    #[inline(always)]
+    pub(super) fn push(&mut self, [x, y, z]: [f32; 3]) {
+        self.x[self.count] = x;
+        self.y[self.count] = y;
+        self.z[self.count] = z;
+        self.count += 1;
+    }
+
+    pub(super) const fn get(&self, index: usize) -> Vec3 {
+        Vec3::new(self.x[index], self.y[index], self.z[index])
+    }
+
+    /// Sixteen points from `first` on; those beyond the count repeat it.
+    #[inline(always)]
+    pub(super) fn load<S: Simd>(&self, s: S, first: usize) -> [S::F; 3] {
+        let lanes = first_lanes(self.count - first);
+        each!(3: [&self.x, &self.y, &self.z], from => s.select(lanes, s.load(chunk(from, first)), s.splat(from[first])))
+    }
+
+    /// The projection in which the points fill the plane, or `None` when they are seen from the light in too wide an
+    /// angle.
+    #[inline(always)]
+    pub(super) fn projection<S: Simd>(&self, s: S, light: Vec3) -> Option<Projection> {
+        let mut sum = Vec3::ZERO;
+        for index in 0..self.count {
+            sum += self.get(index);
+        }
+        let depth = unit(sum / self.count as f32 - light)?;
+        let aside = if depth.x.abs() < 0.6 { Vec3::X } else { Vec3::Y };
+        let x = unit(depth.cross(aside))?;
+        let y = depth.cross(x);
+        let plain = Projection::new(light, [x, y, depth], 0.5, 1.0)?;
+        let infinite = s.splat(f32::INFINITY);
+        let (mut low, mut high) = ([infinite; 2], [infinite; 2]);
+        for first in (0..self.count).step_by(LANES) {
+            let Projected { x, y, w } = plain.project(s, self.load(s, first));
+            if s.lt(s.splat(0.0), w) != Mask::MAX {
+                return None;
+            }
+            low = [s.min(low[0], x), s.min(low[1], y)];
+            let [x, y] = each!(2: [x, y], value => s.sub(s.splat(0.0), value));
+            high = [s.min(high[0], x), s.min(high[1], y)];
+        }
+        let low = each!(2: low, value => s.least(value));
+        let high = each!(2: high, value => -s.least(value));
+        let slant = low[0].abs().max(high[0].abs()) + low[1].abs().max(high[1].abs());
+        if slant > 0.75 {
+            return None;
+        }
+        // At least so large that places on the plane can be told apart.
+        let unit = [0, 1].map(|axis: usize| ((high[axis] - low[axis]) * (1.0 / 7.875)).max(UNIT_MIN));
+        let rows = [(x - depth * low[0]) / unit[0], (y - depth * low[1]) / unit[1], depth];
+        Projection::new(light, rows, unit[0].max(unit[1]), 1.0 + slant)
+    }
+}
+
+/// Sixteen entries from `first` on.
+#[inline(always)]
+fn chunk<const N: usize>(from: &[f32; N], first: usize) -> &[f32; LANES] {
+    // Where fewer are left, the last sixteen; no caller gets there.
+    let first = first.min(N - LANES);
+    from[first..].first_chunk().unwrap_or(&[0.0; LANES])
+}
+
+fn unit(v: Vec3) -> Option<Vec3> {
+    let length = libm::sqrtf(v.dot(v));
+    (length.is_finite() && length > 1.0e-18).then(|| v / length)
+}
+
+/// Smallest unit, as an angle.
+const UNIT_MIN: f32 = 1.0 / 2048.0;
