@@ -25,6 +25,7 @@ mod info;
 mod mesh;
 mod model;
 pub mod read;
+pub mod volume;
 mod write;
 
 pub use build::{BuildError, BuildOptions, Progress, Scene, Stage, build};
@@ -33,4 +34,5 @@ pub use info::Info;
 pub use mesh::Mesh;
 pub use model::Model;
 pub use read::{ReadError, parse_mesh, read_mesh};
+pub use volume::{VolumeError, VolumeShape, VolumeSource};
 pub use write::WriteError;
