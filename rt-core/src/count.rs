@@ -4,7 +4,7 @@
 ///
 /// The methods of `()` do nothing, so a kernel called with `&mut ()` is compiled without any counting.
 pub trait Count {
-    /// A branch was read and its 64 children were culled.
+    /// A branch was read, of the grid or of a volume's ranges, and its 64 children were culled.
     fn branch(&mut self) {}
     /// A leaf record was read and its box tested.
     fn leaf(&mut self) {}
@@ -14,6 +14,12 @@ pub trait Count {
     fn triangles(&mut self, _count: u32) {}
     /// That many spheres of a cluster were tested.
     fn spheres(&mut self, _count: u32) {}
+    /// A brick of a volume was read.
+    fn brick(&mut self) {}
+    /// That many voxel cells were looked at.
+    fn voxel_cells(&mut self, _count: u32) {}
+    /// That many cubics were made, and their roots looked for.
+    fn cubics(&mut self, _count: u32) {}
 }
 
 impl Count for () {}
@@ -31,6 +37,12 @@ pub struct WorkCounts {
     pub triangles: u64,
     /// Spheres tested.
     pub spheres: u64,
+    /// Bricks read.
+    pub bricks: u64,
+    /// Voxel cells looked at.
+    pub voxel_cells: u64,
+    /// Cubics made.
+    pub cubics: u64,
 }
 
 impl Count for WorkCounts {
@@ -52,6 +64,18 @@ impl Count for WorkCounts {
 
     fn spheres(&mut self, count: u32) {
         self.spheres += u64::from(count);
+    }
+
+    fn brick(&mut self) {
+        self.bricks += 1;
+    }
+
+    fn voxel_cells(&mut self, count: u32) {
+        self.voxel_cells += u64::from(count);
+    }
+
+    fn cubics(&mut self, count: u32) {
+        self.cubics += u64::from(count);
     }
 }
 

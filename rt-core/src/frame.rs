@@ -6,8 +6,11 @@ use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 use crate::camera::{Camera, Orbit, OrbitPlace};
+use crate::cubic::Solver;
+#[cfg(doc)]
+use crate::shade::ALBEDO;
 
-/// One picture to draw: its size, camera, light and shadow rule. 96 bytes of fixed layout, sent as they are.
+/// One picture to draw: its size, camera, light, shadow rule and isosurfaces. 136 bytes of fixed layout, sent as they are.
 ///
 /// Bytes from outside become a frame through [`read`](Self::read) only.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -27,6 +30,22 @@ pub struct Frame {
     pub light: Vec3,
     /// How far shadow rays start off the surface, in world units.
     pub shadow_offset: f32,
+    /// How roots are found, by the number of the [`Solver`].
+    pub solver: u32,
+    /// How many of `isosurfaces` there are.
+    pub isosurface_count: u32,
+    /// The isosurfaces, then zeros. See [`with_isosurfaces`](Self::with_isosurfaces).
+    pub isosurfaces: [Isosurface; ISOVALUES_MAX],
+}
+
+/// An isosurface of a scene's volume, as a frame shows it. Costs nothing to change from one frame to the next.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Isosurface {
+    /// The value of the volume on it. Where nothing in the volume has this value, nothing is shown.
+    pub value: f32,
+    /// Grey when fully lit, `0..=1`; [`ALBEDO`] is that of a mesh.
+    pub albedo: f32,
 }
 
 /// Why bytes were refused as a frame.
@@ -49,6 +68,15 @@ pub enum FrameError {
     NotFinite,
     /// Flags that this build does not know.
     Flags(u32),
+    /// More isosurfaces than a frame can show.
+    Isosurfaces {
+        /// How many.
+        got: usize,
+    },
+    /// An isovalue that is not finite, or a grey outside `0..=1`.
+    Isosurface,
+    /// The number of no solver.
+    Solver(u32),
 }
 
 impl Frame {
@@ -74,8 +102,34 @@ impl Frame {
             camera: orbit.camera(place, width, height),
             light: orbit.light(),
             shadow_offset: orbit.shadow_offset(),
+            solver: Solver::default() as u32,
+            isosurface_count: 0,
+            isosurfaces: [Isosurface::zeroed(); ISOVALUES_MAX],
         };
         frame.check()
+    }
+
+    /// The same frame with these isosurfaces.
+    ///
+    /// # Errors
+    /// When there are more than [`ISOVALUES_MAX`], or a number of one makes no sense.
+    pub fn with_isosurfaces(mut self, surfaces: &[Isosurface], solver: Solver) -> Result<Self, FrameError> {
+        let too_many = FrameError::Isosurfaces { got: surfaces.len() };
+        self.isosurfaces = [Isosurface::zeroed(); ISOVALUES_MAX];
+        self.isosurfaces.get_mut(..surfaces.len()).ok_or(too_many)?.copy_from_slice(surfaces);
+        self.isosurface_count = u32::try_from(surfaces.len()).map_err(|_| too_many)?;
+        self.solver = solver as u32;
+        self.check()
+    }
+
+    /// The isosurfaces that are shown.
+    pub fn isosurfaces(&self) -> &[Isosurface] {
+        self.isosurfaces.get(..self.isosurface_count as usize).unwrap_or_default()
+    }
+
+    /// How roots are found.
+    pub fn solver(&self) -> Solver {
+        Solver::from_bits(self.solver).unwrap_or_default()
     }
 
     /// Reads and checks a frame.
@@ -113,6 +167,14 @@ impl Frame {
         if self.flags & !Self::NO_SHADOWS != 0 {
             return Err(FrameError::Flags(self.flags));
         }
+        if self.isosurface_count as usize > ISOVALUES_MAX {
+            return Err(FrameError::Isosurfaces { got: self.isosurface_count as usize });
+        }
+        let is_usable = |one: &Isosurface| one.value.is_finite() && (0.0..=1.0).contains(&one.albedo);
+        if !self.isosurfaces().iter().all(is_usable) {
+            return Err(FrameError::Isosurface);
+        }
+        Solver::from_bits(self.solver).ok_or(FrameError::Solver(self.solver))?;
         Ok(self)
     }
 }
@@ -125,12 +187,20 @@ impl fmt::Display for FrameError {
                 write!(f, "pictures are 1 to {} pixels wide and high, not {width}x{height}", Frame::SIZE_MAX)
             }
             Self::Flags(flags) => write!(f, "a frame with flags that this build does not know: {flags:#x}"),
+            Self::Isosurfaces { got } => {
+                write!(f, "{got} isosurfaces in a frame; it shows at most {ISOVALUES_MAX}")
+            }
+            Self::Isosurface => write!(f, "an isosurface has a finite value and a grey from 0 to 1"),
+            Self::Solver(number) => write!(f, "a frame with a solver that this build does not know: {number}"),
             Self::NotFinite => write!(f, "camera or light has a coordinate that is not finite"),
         }
     }
 }
 
 impl core::error::Error for FrameError {}
+
+/// Most isosurfaces of a frame.
+pub const ISOVALUES_MAX: usize = 4;
 
 #[cfg(test)]
 mod tests {
@@ -145,8 +215,29 @@ mod tests {
     #[test]
     fn bytes_round_trip() {
         let frame = frame(1.5, 30).expect("valid");
-        assert_eq!(frame.as_bytes().len(), 96);
+        assert_eq!(frame.as_bytes().len(), 136);
         assert_eq!(Frame::read(frame.as_bytes()), Ok(frame));
+    }
+
+    #[test]
+    fn isosurfaces_round_trip_and_impossible_ones_are_refused() {
+        let plain = frame(1.5, 30).expect("valid");
+        let one = |value, albedo| Isosurface { value, albedo };
+        let with = |surfaces: &[Isosurface]| plain.with_isosurfaces(surfaces, Solver::Bisect);
+        let two = with(&[one(80.5, 0.8), one(-1.0, 0.0)]).expect("valid");
+        assert_eq!(Frame::read(two.as_bytes()), Ok(two));
+        assert_eq!((two.isosurfaces().len(), two.solver()), (2, Solver::Bisect));
+        assert_eq!(with(&[one(0.0, 0.5); 5]), Err(FrameError::Isosurfaces { got: 5 }));
+        for wrong in [one(f32::NAN, 0.5), one(f32::INFINITY, 0.5), one(0.0, 1.5), one(0.0, f32::NAN)] {
+            assert_eq!(with(&[wrong]), Err(FrameError::Isosurface));
+        }
+        let mut bytes = [0; Frame::BYTES];
+        bytes.copy_from_slice(two.as_bytes());
+        bytes[100] = 5;
+        assert_eq!(Frame::read(&bytes), Err(FrameError::Isosurfaces { got: 5 }));
+        bytes[96] = 7;
+        bytes[100] = 2;
+        assert_eq!(Frame::read(&bytes), Err(FrameError::Solver(7)));
     }
 
     #[test]
@@ -155,6 +246,6 @@ mod tests {
         assert_eq!(frame(1.5, 16_385), Err(FrameError::Size { width: 16_385, height: 20 }));
         assert_eq!(frame(f32::MAX, 30), Err(FrameError::NotFinite));
         assert_eq!(frame(0.0, 30), Err(FrameError::NotFinite));
-        assert_eq!(Frame::read(&[0; 95]), Err(FrameError::Length { got: 95 }));
+        assert_eq!(Frame::read(&[0; 135]), Err(FrameError::Length { got: 135 }));
     }
 }

@@ -9,7 +9,12 @@
 //! - *clusters*: see [`cluster`](crate::cluster) and [`sphere`](crate::sphere), in Morton order of space, depth
 //!   first: the *address order*;
 //! - *ids*: a `u32` for each triangle and sphere in address order, its number in the model: triangles first,
-//!   spheres after the last triangle.
+//!   spheres after the last triangle;
+//! - *table*: the [`VolumeTable`](crate::volume::VolumeTable) of a volume, one record;
+//! - *ranges*: [`RangeBranch`](crate::volume::RangeBranch), 144 bytes each, depth first like branches;
+//! - *bricks*: see [`volume`](crate::volume), in Morton order.
+//!
+//! Segments of what a scene does not have are empty and take no page.
 //!
 //! No record crosses a page of `page_bytes`. A run may use any larger power of two as its page.
 
@@ -24,6 +29,7 @@ use glam::Vec3;
 use crate::grid::{BRANCH_BYTES, GridShape, LEAF_BYTES, LEVELS_MAX};
 use crate::needs::SceneNeeds;
 use crate::scale::{Scale, power_of_two};
+use crate::volume::{TABLE_BYTES, Volume, ranges_bytes};
 use raw::RawHeader;
 
 /// The checked header of a scene image.
@@ -61,7 +67,9 @@ pub struct Header {
     pub leaves: u32,
     /// Clusters; the leaves that are not lists.
     pub clusters: u32,
-    /// Bounds of all vertices of the mesh and of all spheres, in world units.
+    /// The volume, if there is one.
+    pub volume: Option<Volume>,
+    /// Bounds of all vertices of the mesh, of all spheres and of the volume, in world units.
     pub bounds: Bounds,
     /// What cameras look at, in world units: the bounds, unless the model says otherwise.
     pub view: Bounds,
@@ -85,7 +93,7 @@ pub struct Bounds {
 }
 
 /// The segments of an image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Segments {
     /// Branches of the grid, the root first.
     pub branches: Segment,
@@ -95,6 +103,12 @@ pub struct Segments {
     pub clusters: Segment,
     /// Number in the model of each primitive.
     pub ids: Segment,
+    /// What the ranges of a volume count in.
+    pub table: Segment,
+    /// Tree of a volume's ranges, the root first.
+    pub ranges: Segment,
+    /// Samples of a volume.
+    pub bricks: Segment,
 }
 
 /// A run of bytes in the image.
@@ -119,6 +133,12 @@ pub enum SegmentKind {
     Clusters = 3,
     /// Original ids.
     Ids = 4,
+    /// What ranges count in.
+    Table = 5,
+    /// Tree of ranges.
+    Ranges = 6,
+    /// Bricks of samples.
+    Bricks = 7,
 }
 
 /// Why bytes were refused as the header of a scene image.
@@ -212,8 +232,8 @@ impl Header {
         {
             return Err(HeaderError::PageBytes(self.page_bytes));
         }
-        self.check_segments(page)?;
-        self.check_grid()
+        self.check_grid()?;
+        self.check_segments(page)
     }
 
     fn check_segments(&self, page: u64) -> Result<(), HeaderError> {
@@ -233,6 +253,9 @@ impl Header {
             (SegmentKind::Leaves, self.segments.leaves.bytes == u64::from(self.leaves) * LEAF_BYTES as u64),
             (SegmentKind::Clusters, self.segments.clusters.bytes <= CLUSTER_BYTES_MAX),
             (SegmentKind::Ids, self.segments.ids.bytes == u64::from(self.primitives) * 4),
+            (SegmentKind::Table, self.segments.table.bytes == self.volume.map_or(0, |_| TABLE_BYTES as u64)),
+            (SegmentKind::Ranges, self.segments.ranges.bytes == self.volume.map_or(0, |v| ranges_bytes(v.branches))),
+            (SegmentKind::Bricks, self.segments.bricks.bytes == self.volume.map_or(0, |v| v.brick_offset(v.bricks))),
         ];
         lengths
             .into_iter()
@@ -252,7 +275,8 @@ impl Header {
             ("scale", self.scale_exponent.abs() <= SCALE_EXPONENT_MAX),
             ("bounds", self.bounds.is_proper()),
             ("view", self.view.is_proper()),
-            ("branches", self.branches > 0),
+            ("branches", self.branches > 0 || !self.needs.has_primitives()),
+            ("volume", self.volume.is_none_or(|volume| volume.is_proper())),
         ];
         checks.into_iter().find(|(_, right)| !right).map_or(Ok(()), |(name, _)| Err(HeaderError::Grid(name)))
     }
@@ -267,12 +291,15 @@ impl Bounds {
 
 impl Segments {
     /// The segments with their kinds, in the order in which they lie in the image.
-    pub const fn in_order(&self) -> [(SegmentKind, Segment); 4] {
+    pub const fn in_order(&self) -> [(SegmentKind, Segment); SEGMENTS] {
         [
             (SegmentKind::Branches, self.branches),
             (SegmentKind::Leaves, self.leaves),
             (SegmentKind::Clusters, self.clusters),
             (SegmentKind::Ids, self.ids),
+            (SegmentKind::Table, self.table),
+            (SegmentKind::Ranges, self.ranges),
+            (SegmentKind::Bricks, self.bricks),
         ]
     }
 }
@@ -284,6 +311,9 @@ impl fmt::Display for SegmentKind {
             Self::Leaves => "leaves",
             Self::Clusters => "clusters",
             Self::Ids => "ids",
+            Self::Table => "table",
+            Self::Ranges => "ranges",
+            Self::Bricks => "bricks",
         })
     }
 }
@@ -314,7 +344,7 @@ impl fmt::Display for HeaderError {
                 write!(f, "inconsistent header: segment {kind} does not lie where it may")
             }
             Self::SegmentLength(kind) => write!(f, "inconsistent header: length of segment {kind}"),
-            Self::Grid(what) => write!(f, "inconsistent header: {what} of the grid"),
+            Self::Grid(what) => write!(f, "inconsistent header: {what} of the grid or volume"),
         }
     }
 }
@@ -325,7 +355,10 @@ impl core::error::Error for HeaderError {}
 pub const MAGIC: [u8; 8] = *b"MEMSAVVY";
 
 /// Version of the format that this build reads and writes.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
+
+/// Segments of an image, empty ones included.
+pub const SEGMENTS: usize = 7;
 
 /// Length of the header in bytes; the rest of page 0 is zero.
 pub const HEADER_BYTES: usize = size_of::<RawHeader>();
@@ -345,4 +378,4 @@ pub const CLUSTER_BYTES_MAX: u64 = 1 << 35;
 /// The rest of the range of `f32` is head-room for eyes and lights outside the mesh.
 pub const SCALE_EXPONENT_MAX: i32 = 100;
 
-const _: () = assert!(HEADER_BYTES == 512 && HEADER_BYTES <= PAGE_BYTES_MIN as usize);
+const _: () = assert!(HEADER_BYTES == 1024 && HEADER_BYTES <= PAGE_BYTES_MIN as usize);

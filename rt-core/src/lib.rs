@@ -54,16 +54,21 @@ extern crate std;
 compile_error!("a scene image is little-endian and read in place; big-endian targets are not supported");
 
 mod beam;
+#[cfg(feature = "volumes")]
+mod brick;
 pub mod brute;
 pub mod camera;
 pub mod cluster;
 mod count;
+pub mod cubic;
 pub mod filter;
 mod frame;
 mod geometry;
 pub mod grid;
 pub mod grid_ray;
 pub mod image;
+#[cfg(feature = "volumes")]
+pub mod isosurface;
 mod kernel;
 pub mod kinds;
 mod memory;
@@ -82,13 +87,21 @@ pub mod triangle_moller;
 pub mod triangle_test;
 pub mod triangle_woop;
 mod view;
+pub mod volume;
+#[cfg(feature = "volumes")]
+pub mod volume_ray;
+#[cfg(feature = "volumes")]
+mod volume_tile;
 pub mod walk;
 
 pub use camera::{Camera, Orbit};
 pub use count::{Count, TileCounts, WorkCounts};
-pub use frame::{Frame, FrameError};
+pub use cubic::Solver;
+pub use frame::{Frame, FrameError, ISOVALUES_MAX, Isosurface};
 pub use geometry::GeometryId;
 pub use image::{Bounds, Header, HeaderError};
+#[cfg(feature = "volumes")]
+pub use isosurface::{IsoHit, Isosurfaces};
 pub use kernel::Kernel;
 pub use memory::{Flat, SceneMemory};
 pub use needs::SceneNeeds;

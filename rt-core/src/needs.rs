@@ -5,7 +5,7 @@ use core::fmt;
 /// Set of the features that a scene image uses; a reader refuses an image with a bit that it does not know, or
 /// with a feature that was left out of its build.
 ///
-/// So far there are triangles and spheres. Volumes, normals and several geometries take the next bits.
+/// So far there are triangles, spheres and a volume. Normals and several geometries take the next bits.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct SceneNeeds(u32);
 
@@ -16,15 +16,18 @@ impl SceneNeeds {
     pub const TRIANGLES: Self = Self(1);
     /// Spheres in clusters.
     pub const SPHERES: Self = Self(1 << 1);
+    /// A volume, drawn as isosurfaces.
+    pub const VOLUME: Self = Self(1 << 2);
 
     /// Every feature that this version knows.
-    pub const KNOWN: Self = Self::TRIANGLES.with(Self::SPHERES);
+    pub const KNOWN: Self = Self::TRIANGLES.with(Self::SPHERES).with(Self::VOLUME);
 
     /// Every feature that this build can trace, as the features of the crate say.
     pub const BUILT: Self = {
         let triangles = if cfg!(feature = "triangles") { Self::TRIANGLES } else { Self::NONE };
         let spheres = if cfg!(feature = "spheres") { Self::SPHERES } else { Self::NONE };
-        triangles.with(spheres)
+        let volume = if cfg!(feature = "volumes") { Self::VOLUME } else { Self::NONE };
+        triangles.with(spheres).with(volume)
     };
 
     /// The set with these bits, or `None` when one of them is unknown.
@@ -42,6 +45,11 @@ impl SceneNeeds {
         self.0 & other.0 == other.0
     }
 
+    /// Whether there is anything that lies in the grid.
+    pub const fn has_primitives(self) -> bool {
+        self.0 & (Self::TRIANGLES.0 | Self::SPHERES.0) != 0
+    }
+
     /// Both sets together.
     #[must_use]
     pub const fn with(self, other: Self) -> Self {
@@ -57,12 +65,13 @@ impl SceneNeeds {
 
 impl fmt::Display for SceneNeeds {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match (self.contains(Self::TRIANGLES), self.contains(Self::SPHERES)) {
-            (true, true) => "triangles and spheres",
-            (true, false) => "triangles",
-            (false, true) => "spheres",
-            (false, false) => "nothing",
-        })
+        let names = [(Self::TRIANGLES, "triangles"), (Self::SPHERES, "spheres"), (Self::VOLUME, "a volume")];
+        let mut separator = "";
+        for (_, name) in names.into_iter().filter(|(kind, _)| self.contains(*kind)) {
+            write!(f, "{separator}{name}")?;
+            separator = " and ";
+        }
+        if separator.is_empty() { f.write_str("nothing") } else { Ok(()) }
     }
 }
 
@@ -79,7 +88,8 @@ mod tests {
     #[test]
     fn an_unknown_bit_is_refused() {
         assert_eq!(SceneNeeds::from_bits(1), Some(SceneNeeds::TRIANGLES));
-        assert_eq!(SceneNeeds::from_bits(3), Some(SceneNeeds::KNOWN));
+        assert_eq!(SceneNeeds::from_bits(7), Some(SceneNeeds::KNOWN));
+        assert_eq!(std::format!("{}", SceneNeeds::KNOWN), "triangles and spheres and a volume");
         assert_eq!(SceneNeeds::from_bits(1 << 31), None);
         assert!(SceneNeeds::NONE.with(SceneNeeds::TRIANGLES).contains(SceneNeeds::TRIANGLES));
     }
@@ -87,7 +97,7 @@ mod tests {
     #[test]
     fn what_is_left_out_is_what_is_needed_and_not_built() {
         let needs = SceneNeeds::KNOWN;
-        assert_eq!(needs.without(SceneNeeds::TRIANGLES), SceneNeeds::SPHERES);
+        assert_eq!(needs.without(SceneNeeds::TRIANGLES), SceneNeeds::SPHERES.with(SceneNeeds::VOLUME));
         assert_eq!(needs.without(needs), SceneNeeds::NONE);
     }
 }

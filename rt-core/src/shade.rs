@@ -49,8 +49,14 @@ impl LitPoint {
     /// Grey of the point when the light reaches it.
     #[inline]
     pub fn lit_grey(&self) -> f32 {
+        self.lit_grey_of(ALBEDO)
+    }
+
+    /// Grey of the point on a surface of that grey when the light reaches it.
+    #[inline]
+    pub fn lit_grey_of(&self, albedo: f32) -> f32 {
         let distance = libm::sqrtf(self.to_light.dot(self.to_light));
-        ALBEDO * (AMBIENT + DIFFUSE * (self.facing * (1.0 / distance)))
+        albedo * (AMBIENT + DIFFUSE * (self.facing * (1.0 / distance)))
     }
 }
 

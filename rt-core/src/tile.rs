@@ -9,6 +9,8 @@ use crate::grid_ray::GridRay;
 use crate::kernel::Kernel;
 use crate::kinds::{ForKinds, Kinds, dispatch};
 use crate::memory::SceneMemory;
+#[cfg(feature = "volumes")]
+use crate::needs::SceneNeeds;
 use crate::scale::Scale;
 use crate::shade::{self, LitPoint};
 use crate::view::{Damaged, SceneView};
@@ -88,7 +90,7 @@ impl Tile {
 ///
 /// Each pixel is one ray from the eye, flat shading, and a hard shadow of the point light. The bytes depend
 /// on the scene and the frame alone, not on the kernel. Beams take some 60 KB of stack. They know triangles only: a
-/// scene with spheres is drawn by rays.
+/// scene with spheres is drawn by rays. The isosurfaces of a volume are those of the frame.
 ///
 /// # Edge cases
 /// A pixel whose rays end in [`Damaged`] shows the background and is counted.
@@ -105,6 +107,10 @@ pub fn render_tile<M: SceneMemory, C: Count>(
 ) -> TileCounts {
     assert_eq!(pixels.len(), tile.pixels(), "the pixels lent do not fit the tile");
     let view = TileView::new(scene, frame);
+    #[cfg(feature = "volumes")]
+    if scene.header().needs.contains(SceneNeeds::VOLUME) {
+        return crate::volume_tile::draw(&view, tile, kernel, pixels, work);
+    }
     dispatch(scene.header().needs, DrawTile { view: &view, tile, kernel, pixels, work })
 }
 

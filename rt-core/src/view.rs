@@ -13,6 +13,7 @@ use crate::memory::SceneMemory;
 use crate::ray::{Hit, Primitive, Ray};
 use crate::triangle_test::TriangleTest;
 use crate::triangle_woop::WoopRay;
+use crate::volume::{RANGE_BYTES, RangeBranch, TABLE_BYTES, TABLE_EDGES, Threshold, range_offset};
 use crate::walk::walk_with;
 
 /// A scene image with a checked header: what kernels trace.
@@ -38,6 +39,12 @@ pub enum Damaged {
         /// Offset in the cluster segment.
         offset: u64,
     },
+    /// A branch of the tree of ranges that does not exist or cannot be read.
+    RangeBranch(u64),
+    /// A brick of a volume that does not exist or cannot be read.
+    Brick(u64),
+    /// The table of a volume cannot be read.
+    Table,
     /// Branches below the last level.
     Depth,
     /// More branches or leaves on the way of one ray than the image has: a cycle.
@@ -179,6 +186,47 @@ impl<M: SceneMemory> SceneView<M> {
         self.record_of_cluster(place.offset, crate::sphere::spheres_bytes(place.count))
     }
 
+    /// A copy of a branch of the tree of ranges.
+    ///
+    /// # Errors
+    /// [`Damaged::RangeBranch`].
+    #[inline]
+    pub fn range_branch(&self, index: u64) -> Result<RangeBranch, Damaged> {
+        let damaged = Damaged::RangeBranch(index);
+        if self.header.volume.is_none_or(|volume| index >= volume.branches) {
+            return Err(damaged);
+        }
+        let offset = self.header.segments.ranges.offset + range_offset(index);
+        let record = self.memory.record(offset, RANGE_BYTES).ok_or(damaged)?;
+        bytemuck::try_pod_read_unaligned(&record).map_err(|_| damaged)
+    }
+
+    /// The bytes of a brick.
+    ///
+    /// # Errors
+    /// [`Damaged::Brick`].
+    #[inline]
+    pub fn brick(&self, index: u64) -> Result<M::Record<'_>, Damaged> {
+        let damaged = Damaged::Brick(index);
+        let volume = self.header.volume.filter(|volume| index < volume.bricks).ok_or(damaged)?;
+        let offset = self.header.segments.bricks.offset + volume.brick_offset(index);
+        self.memory.record(offset, volume.sample.brick_bytes()).ok_or(damaged)
+    }
+
+    /// Where a stored isovalue lies among the edges of the volume's table, which it reads.
+    ///
+    /// # Errors
+    /// [`Damaged::Table`].
+    pub fn threshold(&self, stored: f32) -> Result<Threshold, Damaged> {
+        let segment = self.header.segments.table;
+        if segment.bytes < TABLE_BYTES as u64 {
+            return Err(Damaged::Table);
+        }
+        let record = self.memory.record(segment.offset, TABLE_BYTES).ok_or(Damaged::Table)?;
+        let edges = record.get(..TABLE_EDGES * 4).ok_or(Damaged::Table)?.as_chunks().0;
+        Ok(Threshold::among(edges.iter().map(|&edge| f32::from_le_bytes(edge)), stored))
+    }
+
     #[inline]
     fn record_of_cluster(&self, offset: u64, length: usize) -> Result<M::Record<'_>, Damaged> {
         let damaged = Damaged::Cluster { offset };
@@ -236,6 +284,9 @@ impl fmt::Display for Damaged {
             Self::Cluster { offset } => {
                 write!(f, "the scene image is damaged: cluster at {offset} cannot be read")
             }
+            Self::RangeBranch(index) => write!(f, "the scene image is damaged: range {index} cannot be read"),
+            Self::Brick(index) => write!(f, "the scene image is damaged: brick {index} cannot be read"),
+            Self::Table => write!(f, "the scene image is damaged: the volume's table cannot be read"),
             Self::Depth => write!(f, "the scene image is damaged: branches below the last level"),
             Self::Cycle => write!(f, "the scene image is damaged: a ray met more records than there are"),
         }

@@ -128,6 +128,9 @@ impl Visit {
 
 impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, M, T, F, C> {
     fn run<K: Kinds, const ANY: bool>(&mut self) -> Result<(), Damaged> {
+        if self.scene.header().branches == 0 {
+            return Ok(());
+        }
         let grid = self.scene.header().grid;
         let mut visit = self.enter(0, grid.origin, grid.size * 0.25)?;
         let mut above = [visit; LEVELS_MAX];

@@ -6,24 +6,34 @@
 //!     [--reps 5] [--loop 5] [--threads 1] [--out PICTURE.png]
 //! ```
 //! Without a mesh, or with a number in its place, the built-in knot is used, of that many triangles; with a name
-//! like `sphereflake:3`, that scene. Rays are traced by one thread, `--threads` is for preparing. Times are best and median over the repetitions.
+//! like `sphereflake:3`, that scene; `gyroid:256` and `ml:256` are volumes, shown at `--iso` by `--solver`. Rays are traced by one thread, `--threads` is for preparing. Times are best and median over the repetitions.
 
 use core::error::Error;
+use std::io::Cursor;
 use std::path::Path;
 use std::time::Instant;
 
 use rt_core::camera::OrbitPlace;
-use rt_core::{Count, Flat, Frame, Kernel, Orbit, SceneView, TileCounts, Tiles, WorkCounts, render_tile};
+use rt_core::shade::ALBEDO;
+use rt_core::{
+    Count, Flat, Frame, Isosurface, Kernel, Orbit, SceneView, Solver, TileCounts, Tiles, WorkCounts, render_tile,
+};
 use scene::builtin::{BuiltIn, BuiltInError};
-use scene::{BuildOptions, Info, Model, build, builtin, read_mesh};
+use scene::volume::{Analytic, Formula, StoredType};
+use scene::{BuildOptions, Info, Model, VolumeSource, build, builtin, read_mesh, write_volume};
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let options = Options::from_arguments()?;
+    let mut options = Options::from_arguments()?;
     rayon::ThreadPoolBuilder::new().num_threads(options.threads).build_global()?;
-    let started = Instant::now();
-    let model = options.model()?;
-    println!("read       {:>8.3} s  {} primitives", started.elapsed().as_secs_f64(), model.count());
-    let image = prepare(&model, &options)?;
+    let image = match options.volume()? {
+        Some(mut source) => prepare_volume(&mut source, &options)?,
+        None => {
+            let started = Instant::now();
+            let model = options.model()?;
+            println!("read       {:>8.3} s  {} primitives", started.elapsed().as_secs_f64(), model.count());
+            prepare(&model, &options)?
+        }
+    };
     let scene = SceneView::new(Flat::new(&image))?;
     print_info(&Info::from(scene.header()));
     for &radius in &options.radii {
@@ -56,7 +66,23 @@ fn prepare(model: &Model, options: &Options) -> Result<Vec<u8>, Box<dyn Error>> 
     Ok(image)
 }
 
+fn prepare_volume(source: &mut dyn VolumeSource, options: &Options) -> Result<Vec<u8>, Box<dyn Error>> {
+    let mut out = Cursor::new(Vec::new());
+    let started = Instant::now();
+    write_volume(source, None, options.stored, options.page_bytes, &mut out, &|_| {})?;
+    let (seconds, samples) = (started.elapsed().as_secs_f64(), source.shape().samples() as f64);
+    println!("prepare    {seconds:>8.3} s  {:.1} M samples/s", samples / seconds / 1.0e6);
+    Ok(out.into_inner())
+}
+
 fn print_info(info: &Info) {
+    if let Some(volume) = &info.volume {
+        println!(
+            "volume     {:?} samples of {:?}, {} bricks, {} ranges on {} levels; image {} bytes",
+            volume.dims, volume.sample, volume.bricks, volume.branches, volume.levels, info.image_bytes
+        );
+        return;
+    }
     let per_primitive = |bytes: u64| bytes as f64 / (info.triangles + info.spheres) as f64;
     println!(
         "image      {} bytes, {:.2} a primitive, {} pages of {}",
@@ -83,7 +109,10 @@ fn measure_rays(
 ) -> Result<(), Box<dyn Error>> {
     let orbit = Orbit::around(&scene.header().view);
     let place = OrbitPlace { radius, elevation: options.elevation, frame: options.frame, frames: 12 };
-    let frame = Frame::on_orbit(&orbit, &place, options.size, options.size)?;
+    let surfaces: Vec<Isosurface> =
+        options.isovalues.iter().map(|&value| Isosurface { value, albedo: ALBEDO }).collect();
+    let frame = Frame::on_orbit(&orbit, &place, options.size, options.size)?
+        .with_isosurfaces(&surfaces, options.solver)?;
     let (mut whole, mut primary) = (Vec::new(), Vec::new());
     let mut work = WorkCounts::default();
     let (counts, picture) = draw(scene, &frame, kernel, &mut work);
@@ -132,6 +161,14 @@ fn print_rays(radius: f32, counts: &TileCounts, work: &WorkCounts, whole: (f64, 
         per_ray(work.triangles),
         per_ray(work.spheres)
     );
+    if work.bricks > 0 {
+        println!(
+            "           {:.2} bricks, {:.2} voxel cells, {:.2} cubics",
+            per_ray(work.bricks),
+            per_ray(work.voxel_cells),
+            per_ray(work.cubics)
+        );
+    }
 }
 
 fn draw(
@@ -179,6 +216,9 @@ struct Options {
     reps_of_rays: usize,
     threads: usize,
     out: Option<String>,
+    isovalues: Vec<f32>,
+    solver: Solver,
+    stored: Option<StoredType>,
 }
 
 impl Options {
@@ -196,6 +236,9 @@ impl Options {
             reps_of_rays: 5,
             threads: 0,
             out: None,
+            isovalues: Vec::new(),
+            solver: Solver::default(),
+            stored: None,
         };
         let mut arguments = std::env::args().skip(1);
         while let Some(argument) = arguments.next() {
@@ -215,12 +258,26 @@ impl Options {
                 "--loop" => options.reps_of_rays = value()?.parse::<usize>()?.max(1),
                 "--reps" => options.reps = value()?.parse::<usize>()?.max(1),
                 "--threads" => options.threads = value()?.parse()?,
+                "--iso" => {
+                    options.isovalues = value()?.split(',').map(str::parse).collect::<Result<_, _>>()?;
+                }
+                "--solver" => options.solver = value()?.parse()?,
+                "--store" => options.stored = Some(StoredType::named(&value()?).ok_or("u8, u16 or f32")?),
                 "--out" => options.out = Some(value()?),
                 other if other.starts_with("--") => return Err(format!("unknown option {other}").into()),
                 _ => options.mesh = Some(argument),
             }
         }
         Ok(options)
+    }
+
+    fn volume(&mut self) -> Result<Option<Analytic>, Box<dyn Error>> {
+        let Some((name, size)) = self.mesh.as_ref().and_then(|name| name.split_once(':')) else { return Ok(None) };
+        let Some(formula) = Formula::named(name) else { return Ok(None) };
+        if self.isovalues.is_empty() {
+            self.isovalues = vec![formula.isovalue() as f32];
+        }
+        Ok(Some(Analytic::new(formula, size.parse()?)?))
     }
 
     fn model(&self) -> Result<Model, Box<dyn Error>> {

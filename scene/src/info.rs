@@ -1,6 +1,7 @@
 //! What `memsavvy info` prints.
 
-use rt_core::image::SegmentKind;
+use rt_core::image::{SEGMENTS, SegmentKind};
+use rt_core::volume::Volume;
 use rt_core::{Bounds, Header, SceneNeeds};
 
 /// Facts about a scene image.
@@ -44,11 +45,13 @@ pub struct Info {
     /// Pages of the image.
     pub pages: u64,
     /// Length of each segment.
-    pub segments: [(SegmentKind, u64); 4],
+    pub segments: [(SegmentKind, u64); SEGMENTS],
     /// Bytes of the whole image for each triangle and sphere of the model.
     pub bytes_per_primitive: f64,
     /// What the scene uses.
     pub needs: SceneNeeds,
+    /// The volume, if there is one.
+    pub volume: Option<Volume>,
 }
 
 impl From<&Header> for Info {
@@ -81,6 +84,7 @@ impl From<&Header> for Info {
             segments: header.segments.in_order().map(|(kind, segment)| (kind, segment.bytes)),
             bytes_per_primitive: ratio(header.image_bytes, primitives),
             needs: header.needs,
+            volume: header.volume,
         }
     }
 }

@@ -17,6 +17,7 @@
 //! ```
 #![forbid(unsafe_code)]
 
+mod bricks;
 mod build;
 pub mod builtin;
 pub mod file;
@@ -28,6 +29,7 @@ pub mod read;
 pub mod volume;
 mod write;
 
+pub use bricks::{PrepareError, write_volume};
 pub use build::{BuildError, BuildOptions, Progress, Scene, Stage, build};
 pub use file::{OpenError, SceneFile};
 pub use info::Info;

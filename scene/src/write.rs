@@ -43,8 +43,23 @@ impl Scene {
         out: &mut W,
         progress: &(dyn Fn(Progress) + Sync),
     ) -> Result<Header, WriteError> {
-        let layout = Layout::new(self, page_bytes)?;
         let start = out.stream_position()?;
+        let header = self.write_primitives(page_bytes, out, progress)?;
+        out.seek(SeekFrom::Start(start))?;
+        out.write_all(&header.emit())?;
+        out.seek(SeekFrom::Start(start + header.image_bytes))?;
+        out.flush()?;
+        Ok(header)
+    }
+
+    /// Writes everything but the header, of whose page it leaves zeros.
+    pub(crate) fn write_primitives<W: Write>(
+        &self,
+        page_bytes: u32,
+        out: &mut W,
+        progress: &(dyn Fn(Progress) + Sync),
+    ) -> Result<Header, WriteError> {
+        let layout = Layout::new(self, page_bytes)?;
         let mut header = layout.header(self);
         let mut pages = Pages { out, position: 0, hash: Xxh3::new() };
         let segments = &mut header.segments;
@@ -55,10 +70,6 @@ impl Scene {
         segments.clusters.checksum = pages.hash.digest();
         pages.whole_segment(&mut segments.ids, bytemuck::cast_slice(&self.tree.ids))?;
         pages.pad_to(header.image_bytes)?;
-        out.seek(SeekFrom::Start(start))?;
-        out.write_all(&header.emit())?;
-        out.seek(SeekFrom::Start(start + header.image_bytes))?;
-        out.flush()?;
         Ok(header)
     }
 
@@ -223,11 +234,15 @@ impl Layout {
             leaves: segment(size_of_val::<[Leaf]>(&tree.leaves) as u64),
             clusters: segment(self.start_of(tree.clusters.len())),
             ids: segment(size_of_val::<[u32]>(&tree.ids) as u64),
+            table: segment(0),
+            ranges: segment(0),
+            bricks: segment(0),
         };
         let count = |length: usize| u32::try_from(length).unwrap_or(u32::MAX);
         Header {
             page_bytes: self.page_bytes,
             image_bytes: end,
+            volume: None,
             needs: scene.needs,
             triangles: scene.model.mesh.triangles.len() as u64,
             spheres: scene.model.spheres.len() as u64,

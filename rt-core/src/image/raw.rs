@@ -3,9 +3,12 @@
 use bytemuck::{Pod, Zeroable};
 use xxhash_rust::xxh3::xxh3_64;
 
-use super::{Bounds, HEADER_BYTES, Header, HeaderError, MAGIC, Segment, SegmentKind, Segments, VERSION};
+use super::{
+    Bounds, HEADER_BYTES, Header, HeaderError, MAGIC, SEGMENTS, Segment, SegmentKind, Segments, VERSION,
+};
 use crate::grid::GridShape;
 use crate::needs::SceneNeeds;
+use crate::volume::{SampleKind, Volume};
 
 /// The header as it lies in the image. Fields that are zero in this version are reserved.
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -37,8 +40,27 @@ pub(super) struct RawHeader {
     spheres: u64,
     view_low: [f32; 3],
     view_high: [f32; 3],
-    reserved: [u64; 10],
+    volume: RawVolume,
+    reserved: [[u64; 30]; 2],
     checksum: u64,
+}
+
+/// Zeros where there is no volume.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct RawVolume {
+    dims: [u32; 3],
+    sample: u32,
+    origin: [f64; 3],
+    spacing: [f64; 3],
+    slope: f64,
+    intercept: f64,
+    low: f32,
+    high: f32,
+    levels: u32,
+    reserved: u32,
+    branches: u64,
+    bricks: u64,
 }
 
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -96,12 +118,13 @@ impl RawHeader {
             grid_origin: header.grid.origin.to_array(),
             grid_size: header.grid.size,
             slack: header.grid.slack,
-            segment_count: 4,
+            segment_count: SEGMENTS as u32,
             segments,
             spheres: header.spheres,
             view_low: header.view.low.to_array(),
             view_high: header.view.high.to_array(),
-            reserved: [0; 10],
+            volume: header.volume.as_ref().map_or_else(RawVolume::zeroed, RawVolume::encode),
+            reserved: [[0; 30]; 2],
             checksum: 0,
         };
         raw.checksum = raw.compute_checksum();
@@ -109,10 +132,12 @@ impl RawHeader {
     }
 
     pub(super) fn decode(&self) -> Result<Header, HeaderError> {
+        let needs = SceneNeeds::from_bits(self.needs).ok_or(HeaderError::Needs(self.needs))?;
         Ok(Header {
             page_bytes: self.page_bytes,
             image_bytes: self.image_bytes,
-            needs: SceneNeeds::from_bits(self.needs).ok_or(HeaderError::Needs(self.needs))?,
+            needs,
+            volume: needs.contains(SceneNeeds::VOLUME).then(|| self.volume.decode()).transpose()?,
             triangles: self.triangles,
             spheres: self.spheres,
             collapsed: self.collapsed,
@@ -139,8 +164,8 @@ impl RawHeader {
     fn decode_segments(&self) -> Result<Segments, HeaderError> {
         let listed =
             self.segments.get(..self.segment_count as usize).ok_or(HeaderError::Grid("segment count"))?;
-        let known = [SegmentKind::Branches, SegmentKind::Leaves, SegmentKind::Clusters, SegmentKind::Ids];
-        if let Some(raw) = listed.iter().find(|raw| known.iter().all(|&kind| kind as u32 != raw.kind)) {
+        let known = Segments::default().in_order().map(|(kind, _)| kind as u32);
+        if let Some(raw) = listed.iter().find(|raw| !known.contains(&raw.kind)) {
             return Err(HeaderError::UnknownSegment(raw.kind));
         }
         let find = |kind: SegmentKind| {
@@ -157,11 +182,40 @@ impl RawHeader {
             leaves: find(SegmentKind::Leaves)?,
             clusters: find(SegmentKind::Clusters)?,
             ids: find(SegmentKind::Ids)?,
+            table: find(SegmentKind::Table)?,
+            ranges: find(SegmentKind::Ranges)?,
+            bricks: find(SegmentKind::Bricks)?,
         })
     }
 
     fn compute_checksum(&self) -> u64 {
         xxh3_64(&bytemuck::bytes_of(self)[..HEADER_BYTES - size_of::<u64>()])
+    }
+}
+
+impl RawVolume {
+    fn encode(volume: &Volume) -> Self {
+        let &Volume { dims, sample, levels, origin, spacing, slope, intercept, low, high, branches, bricks } = volume;
+        Self {
+            dims,
+            sample: sample as u32,
+            origin,
+            spacing,
+            slope,
+            intercept,
+            low,
+            high,
+            levels,
+            reserved: 0,
+            branches,
+            bricks,
+        }
+    }
+
+    fn decode(&self) -> Result<Volume, HeaderError> {
+        let &Self { dims, sample, origin, spacing, slope, intercept, low, high, levels, branches, bricks, .. } = self;
+        let sample = SampleKind::from_bits(sample).ok_or(HeaderError::Grid("samples"))?;
+        Ok(Volume { dims, sample, levels, origin, spacing, slope, intercept, low, high, branches, bricks })
     }
 }
 

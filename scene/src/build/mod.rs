@@ -29,7 +29,9 @@ mod vertex_set;
 
 use core::sync::atomic::{AtomicU64, Ordering};
 
+use glam::Vec3;
 use rt_core::grid::{Branch, GridShape, Leaf};
+use rt_core::image::SCALE_EXPONENT_MAX;
 use rt_core::{Bounds, SceneNeeds};
 
 pub use error::BuildError;
@@ -141,6 +143,24 @@ pub fn build(
         scale_exponent,
         tree,
     })
+}
+
+impl Scene {
+    /// A scene without triangles and spheres.
+    pub(crate) fn without_primitives(bounds: Bounds, scale_exponent: i32) -> Self {
+        let grid = GridShape { origin: Vec3::ZERO, size: 1.0, slack: 0.0, levels: 1 };
+        Self {
+            model: Model::default(),
+            bounds,
+            needs: SceneNeeds::NONE,
+            collapsed: 0,
+            repeated: 0,
+            grid,
+            typical_edge: 0.0,
+            scale_exponent: scale_exponent.clamp(-SCALE_EXPONENT_MAX, SCALE_EXPONENT_MAX),
+            tree: Tree::default(),
+        }
+    }
 }
 
 /// What kernels must know to trace the model.
