@@ -183,16 +183,21 @@ impl Bracket {
 
     #[inline]
     fn newton(mut self, cubic: &Cubic) -> f32 {
-        let mut s = self.secant();
+        let (mut s, mut step) = (self.secant(), self.high - self.low);
         for _ in 0..NEWTON_STEPS {
             let (value, slope) = cubic.value(s);
             self.close_in(s, value);
-            if value == 0.0 {
+            let next = s - value / slope;
+            // The root is where the value crosses, which tells the slope there.
+            let crosses = if is_inside(self.at_low) { slope < 0.0 } else { slope > 0.0 };
+            if crosses && next == s {
                 break;
             }
-            let next = s - value / slope;
-            // Written so that NaN halves.
-            s = if self.low <= next && next <= self.high { next } else { (self.low + self.high) * 0.5 };
+            // Halve where Newton has the wrong slope, leaves the bounds, or does not halve its step.
+            let inside = crosses && self.low < next && next < self.high && (next - s).abs() * 2.0 <= step;
+            let next = if inside { next } else { (self.low + self.high) * 0.5 };
+            step = (next - s).abs();
+            s = next;
         }
         s
     }
@@ -312,8 +317,8 @@ fn clamp(s: f32) -> f32 {
 /// Linear interpolations of `neubauer` and `marmitt`.
 pub(crate) const INTERPOLATIONS: u32 = 3;
 
-/// Newton steps of `marmitt+newton`.
-pub(crate) const NEWTON_STEPS: u32 = 3;
+/// Most Newton steps of `marmitt+newton`; it ends when one changes nothing.
+pub(crate) const NEWTON_STEPS: u32 = 32;
 
 /// Halvings of `bisect`: to the last bit of a number near 1.
 pub(crate) const HALVINGS: u32 = 24;
@@ -385,6 +390,18 @@ mod tests {
                 assert_eq!(root.is_some(), expected, "{solver} of {coefficients:?}");
                 assert!(root.is_none_or(|s| (0.0..=1.0).contains(&s)), "{solver}: {root:?}");
             }
+        }
+    }
+
+    #[test]
+    fn a_zero_from_which_the_value_rises_is_not_yet_the_root() {
+        let leaving = Cubic([0.0, 1.0, 1.0, -1.0]);
+        let entering = Cubic([-1.0, 2.0, -1.0, 0.0]);
+        for solver in [Solver::MarmittNewton, Solver::Bisect] {
+            let s = leaving.first_root(solver).expect("the value falls below");
+            assert!((s - 0.7913).abs() < 1.0e-3, "{solver}: {s}");
+            let s = entering.first_root(solver).expect("the value rises above");
+            assert!(entering.value(s).0.abs() < 1.0e-6 && s < 0.5, "{solver}: {s}");
         }
     }
 

@@ -69,6 +69,8 @@ pub mod grid_ray;
 pub mod image;
 #[cfg(feature = "volumes")]
 pub mod isosurface;
+#[cfg(feature = "volumes")]
+pub mod isosurface_f64;
 mod kernel;
 pub mod kinds;
 mod memory;

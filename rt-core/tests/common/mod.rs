@@ -8,6 +8,7 @@ pub mod reference;
 pub mod shapes;
 pub mod surface;
 pub mod target;
+pub mod volume;
 
 use glam::Vec3;
 use proptest::prelude::*;

@@ -28,7 +28,7 @@ impl RangeTree {
     /// Number of a brick that is present.
     pub(super) fn brick(&self, at: [u32; 3]) -> Option<u64> {
         let (branch, cell) = self.lowest(at)?;
-        let branch = &self.branches[branch];
+        let branch = self.branches.get(branch)?;
         (branch.present >> cell & 1 != 0).then(|| branch.child_of(cell)).flatten()
     }
 
