@@ -3,6 +3,7 @@
 mod nifti;
 mod nrrd;
 mod raw;
+mod real;
 mod vti;
 
 use std::fs;
