@@ -1,5 +1,6 @@
 //! Entry points for fuzzers: arbitrary bytes in, no panic and no hang out.
 
+use std::path::Path;
 use std::sync::OnceLock;
 
 use rt_core::image::HEADER_BYTES;
@@ -8,6 +9,7 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use crate::build::{BuildOptions, build};
 use crate::builtin;
+use crate::volume::{self, VolumeSource};
 
 /// Takes a good image, writes lies into it, makes its header's checksum right again, and traces some rays through it.
 ///
@@ -55,8 +57,46 @@ pub fn image(bytes: &[u8]) {
     }
 }
 
+/// Takes arbitrary bytes as a volume: as a file whose format they tell, as a name, and as a description in JSON. What
+/// opens is read to its end, unless it declares far more than there is.
+pub fn volume(bytes: &[u8]) {
+    if let Ok(mut volume) = volume::parse_volume(bytes) {
+        let samples = volume.shape().samples();
+        let mut run = vec![0.0; usize::try_from(samples).unwrap_or(usize::MAX).min(1 << 12)];
+        for first in (0..samples - run.len() as u64 + 1).step_by(run.len()).take(1 << 8) {
+            if volume.read_samples(first, &mut run).is_err() {
+                break;
+            }
+        }
+    }
+    let _ = volume::RawVolume::from_json(bytes, Path::new(""));
+    if let Ok(name) = core::str::from_utf8(bytes) {
+        let _ = name.parse::<volume::VolumeName>();
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn any_bytes_behind_the_beginning_of_a_volume_do_no_harm() {
+        let beginnings: [&[u8]; 5] = [
+            b"NRRD0001\ntype: short\ndimension: 3\nsizes: 2 2 2\nencoding: raw\nendian: little\n\n",
+            b"\x5c\x01\0\0",
+            b"<VTKFile type='ImageData'><ImageData WholeExtent='0 1 0 1 0 1'><PointData><DataArray type='Int8' format='ascii'>",
+            b"raw:a?dims=1x1x1&type=u8",
+            b"{\"file\": \"a\", \"dims\": [1, 1, 1], \"dtype\": \"u8\"}",
+        ];
+        for beginning in beginnings {
+            super::volume(&[beginning, b"1 2 3 4 5 6 7 8 9 10 11"].concat());
+            for seed in 0..500_u32 {
+                let mut bytes = [beginning, &[b'1'; 400]].concat();
+                let place = seed.wrapping_mul(2_654_435_761) as usize % bytes.len();
+                bytes[place] = seed.to_le_bytes()[0];
+                super::volume(&bytes);
+            }
+        }
+    }
+
     #[test]
     fn lies_do_no_harm_and_without_any_the_image_is_good() {
         super::lying_image(&[]);

@@ -2,6 +2,7 @@
 
 use core::f64::consts::{FRAC_PI_2, PI};
 use core::fmt;
+use core::ops::RangeInclusive;
 
 use rayon::prelude::*;
 
@@ -52,7 +53,7 @@ impl Analytic {
     /// # Errors
     /// When `n` is less than 2 or the samples are too many to number.
     pub fn new(formula: Formula, n: u64) -> Result<Self, VolumeError> {
-        if !(2..=SAMPLES_MAX).contains(&n) {
+        if !SIZES.contains(&n) {
             let trouble = Trouble::value(n.to_string(), EXPECTED);
             return Err(VolumeError::in_name(formula.name(), trouble));
         }
@@ -173,6 +174,9 @@ fn ripple(x: f64, y: f64) -> f64 {
 
 /// Most samples along an axis: their cube is the most that a shape takes, at four bytes each.
 const SAMPLES_MAX: u64 = 1_321_122;
+
+/// Samples along an axis that a formula can have.
+pub(super) const SIZES: RangeInclusive<u64> = 2..=SAMPLES_MAX;
 
 /// What a number of samples should be.
 pub(super) const EXPECTED: &str = "a number of samples along an axis from 2 to 1321122";

@@ -1,14 +1,29 @@
 //! Volumes: samples on a regular grid, read in runs so that no volume is ever whole in memory.
 
 mod analytic;
+mod bytes;
 mod error;
+mod file_volume;
+mod histogram;
+mod input;
+mod nifti;
+mod nrrd;
+mod numbers;
+mod open;
+mod packing;
+mod raw;
 mod run;
 mod sample;
 mod shape;
 mod stored;
+mod vti;
 
 pub use analytic::{Analytic, Formula};
 pub use error::{Place, Trouble, VolumeError};
+pub use file_volume::FileVolume;
+pub use histogram::Histogram;
+pub use open::{VolumeFormat, VolumeName, open_file, parse_volume};
+pub use raw::RawVolume;
 pub use sample::{Endian, SampleType};
 pub use shape::{Note, ValueMap, VolumeShape};
 pub use stored::{SampleRange, Storage, StoredType};

@@ -105,6 +105,24 @@ impl SampleType {
             Self::F64 => decode_as(endian, bytes, samples, f64::from_ne_bytes, |value| value as f32),
         }
     }
+
+    /// Makes this machine's bytes of a number in text; `None` when it is no number of this type.
+    ///
+    /// # Panics
+    /// When there are not as many bytes as the number needs.
+    pub(super) fn encode(self, text: &str, bytes: &mut [u8]) -> Option<()> {
+        match self {
+            Self::U8 => bytes.copy_from_slice(&text.parse::<u8>().ok()?.to_ne_bytes()),
+            Self::I8 => bytes.copy_from_slice(&text.parse::<i8>().ok()?.to_ne_bytes()),
+            Self::U16 => bytes.copy_from_slice(&text.parse::<u16>().ok()?.to_ne_bytes()),
+            Self::I16 => bytes.copy_from_slice(&text.parse::<i16>().ok()?.to_ne_bytes()),
+            Self::U32 => bytes.copy_from_slice(&text.parse::<u32>().ok()?.to_ne_bytes()),
+            Self::I32 => bytes.copy_from_slice(&text.parse::<i32>().ok()?.to_ne_bytes()),
+            Self::F32 => bytes.copy_from_slice(&text.parse::<f32>().ok()?.to_ne_bytes()),
+            Self::F64 => bytes.copy_from_slice(&text.parse::<f64>().ok()?.to_ne_bytes()),
+        }
+        Some(())
+    }
 }
 
 impl Endian {
