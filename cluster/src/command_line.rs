@@ -12,17 +12,18 @@ use clap::builder::styling::{AnsiColor, Styles};
 use clap::{Args, Parser, Subcommand};
 use dsm_core::replacement::PolicyKind;
 use fault_linux::BackendKind;
-use rt_core::Kernel;
 use rt_core::image::{PAGE_BYTES_MAX, PAGE_BYTES_MIN};
+use rt_core::volume::{Volume, bricks_along};
+use rt_core::{Kernel, Solver};
 use scene::builtin::BuiltIn;
-use scene::{BuildOptions, Info, SceneFile};
+use scene::volume::{Histogram, StoredType};
+use scene::{Info, SceneFile};
 
 use crate::control::{BindTo, TransportKind};
 use crate::output::{Destination, check_folder_of, write_whole};
-use crate::progress::StageBar;
 use crate::report::{RunReport, counted, thousands};
-use crate::run::{Options, Source, run};
-use crate::scene_source::PAGE_BYTES_DEFAULT;
+use crate::run::{Options, Source, Surface, run};
+use crate::scene_source::{PAGE_BYTES_DEFAULT, Written};
 use crate::size::{Bytes, Memory, PictureSize};
 
 /// Renders scenes larger than one machine's memory.
@@ -51,18 +52,20 @@ enum Command {
     Info(ShowInfo),
 }
 
-/// Renders a mesh, a scene image or a built-in scene on a cluster of local processes
+/// Renders a mesh, a volume, a scene image or a built-in scene on a cluster of local processes
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   memsavvy render bunny.ply -o bunny.png
   memsavvy render sphereflake:3 -o flake.png --radius 0.75 --elevation 20
+  memsavvy render scan.nrrd --iso 80.5 -o scan.png
+  memsavvy render gyroid:256 --iso 0,0.5@0.3 --radius 0.75 -o gyroid.png
   memsavvy render dragon.msv -o orbit-%03d.png --frames 36 --radius 0.75
   memsavvy render dragon.msv --nodes 2 --stores 2 --memory 16% --report run.json
   memsavvy render dragon.msv --nodes 4 --memory 5M --page 4K --backend segv --policy fifo")]
 struct Render {
-    /// A mesh (PLY, OBJ), a scene image made by `memsavvy prepare`, or a built-in scene: knot:TRIANGLES or
-    /// sphereflake:DEPTH
+    /// A mesh (PLY, OBJ), a volume (NRRD, NIfTI, VTI, raw:FILE?dims=XxYxZ&type=u8), a scene image made by `memsavvy
+    /// prepare`, or what is built in: knot:TRIANGLES, sphereflake:DEPTH, gyroid:SAMPLES or ml:SAMPLES
     scene: PathBuf,
     #[command(flatten)]
     output: Output,
@@ -149,18 +152,27 @@ struct View {
     /// Height of the eye, in degrees above the horizon
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
     elevation: f64,
+    /// Isosurfaces of a volume: values, or auto for one that the histogram suggests; with a grey from 0 to 1 as in
+    /// 80.5@0.4 [default: auto]
+    #[arg(long, value_name = "VALUE[@GREY],...", value_delimiter = ',', allow_negative_numbers = true)]
+    iso: Vec<Surface>,
+    /// How isosurfaces are found in a voxel cell: marmitt+newton, marmitt, neubauer, linear or bisect
+    #[arg(long, value_name = "NAME", default_value_t = Solver::default())]
+    solver: Solver,
 }
 
-/// Builds the grid over a mesh or a built-in scene and writes a scene image
+/// Prepares a mesh, a volume or a built-in scene: writes a scene image
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   memsavvy prepare dragon.ply -o dragon.msv
   memsavvy prepare scan.obj -o scan.msv --page 64K
+  memsavvy prepare scan.nrrd -o scan.msv --store u8
   memsavvy prepare knot:5000000 -o knot.msv
   memsavvy prepare sphereflake:6 -o flake.msv")]
 struct Prepare {
-    /// A mesh, PLY (ascii or binary) or OBJ, or a built-in scene: knot:TRIANGLES or sphereflake:DEPTH
+    /// A mesh, PLY (ascii or binary) or OBJ, a volume (NRRD, NIfTI, VTI, raw:FILE?dims=XxYxZ&type=u8), or what is built
+    /// in: knot:TRIANGLES, sphereflake:DEPTH, gyroid:SAMPLES or ml:SAMPLES
     #[arg(required_unless_present = "builtin")]
     mesh: Option<PathBuf>,
     /// The scene image to write
@@ -169,6 +181,12 @@ struct Prepare {
     /// The smallest page that the image may be used with; a power of two from 4K to 2M
     #[arg(long, value_name = "SIZE", default_value = "16K", value_parser = page_bytes)]
     page: u32,
+    /// What a sample of a volume is stored as: u8, u16 or f32 [default: the smallest that loses nothing]
+    #[arg(long, value_name = "TYPE", value_parser = stored_type)]
+    store: Option<StoredType>,
+    /// A mesh that stands in the volume, in the same units
+    #[arg(long, value_name = "MESH")]
+    with: Option<PathBuf>,
     /// Short for knot:TRIANGLES
     #[arg(long, value_name = "TRIANGLES", conflicts_with = "mesh")]
     builtin: Option<usize>,
@@ -255,6 +273,8 @@ impl Render {
             frames: view.frames,
             radius: view.radius,
             elevation: view.elevation,
+            isosurfaces: view.iso,
+            solver: view.solver,
             deadline: cluster.deadline,
             lose_per_mille: cluster.lose,
             seed: cluster.seed,
@@ -294,27 +314,32 @@ impl Prepare {
         if source.is_image()? {
             bail!("{} is a scene image already", self.mesh.unwrap_or_default().display());
         }
-        let (name, model) = source.model()?;
-        let bar = StageBar::new(self.quiet);
+        let source = self.with_volume_options(source)?;
         let start = std::time::Instant::now();
-        let built = scene::build(model, &BuildOptions::default(), &|progress| bar.show(progress))
-            .with_context(|| format!("cannot use {name}"))?;
-        let seconds = start.elapsed().as_secs_f64();
-        let info = write_whole(&self.output, |file| {
-            Ok(Info::from(&built.write(self.page, file, &|progress| bar.show(progress))?))
-        })?;
-        drop(bar);
+        let Written { header, notes, .. } =
+            write_whole(&self.output, |file| source.write(self.page, file, self.quiet))?;
         if self.quiet {
             return Ok(());
         }
+        let info = Info::from(&header);
+        let notes: String = notes.iter().map(|note| format!("\nnote: {note}")).collect();
         print(&format!(
-            "{}: {}, {}, {:.1} bytes a primitive; built in {seconds:.2} s, {:.2} M primitives a second",
+            "{}: {}, {}; prepared in {:.2} s{notes}",
             self.output.display(),
-            counted(info.triangles, info.spheres),
+            counted(info.triangles, info.spheres, info.volume.map(|volume| volume.dims)),
             Bytes(info.image_bytes),
-            info.bytes_per_primitive,
-            (info.triangles + info.spheres) as f64 / seconds / 1e6,
+            start.elapsed().as_secs_f64(),
         ))
+    }
+
+    /// Adds what was asked for a volume.
+    fn with_volume_options(&self, mut source: Source) -> Result<Source> {
+        match &mut source {
+            Source::Volume(volume) => (volume.stored, volume.with) = (self.store, self.with.clone()),
+            _ if self.store.is_some() || self.with.is_some() => bail!("--store and --with are for volumes"),
+            _ => {}
+        }
+        Ok(source)
     }
 }
 
@@ -324,8 +349,9 @@ impl ShowInfo {
         if !SceneFile::is_one(&self.scene).with_context(|| format!("cannot read {name}"))? {
             bail!("{name} is no scene image; make one with `memsavvy prepare {name} -o scene.msv`");
         }
-        let file = SceneFile::open(&self.scene).with_context(|| format!("cannot use {name}"))?;
-        print(&describe(&file.info()))
+        let mut file = SceneFile::open(&self.scene).with_context(|| format!("cannot use {name}"))?;
+        let histogram = file.histogram()?.map(|histogram| describe_histogram(&histogram));
+        print(&[describe(&file.info()), histogram.unwrap_or_default()].join("\n"))
     }
 }
 
@@ -353,11 +379,67 @@ fn describe(info: &Info) -> String {
             format!("{} of {:.1} primitives", thousands(info.clusters.into()), info.primitives_per_cluster),
         ),
     ];
+    if let Some(volume) = &info.volume {
+        lines.extend(describe_volume(volume));
+    }
     lines.extend(info.segments.map(|(kind, bytes)| {
         ("", format!("{:8} {:>9} {:5.1} %", kind.to_string(), Bytes(bytes).to_string(), percent(bytes)))
     }));
     lines.iter().map(|(what, value)| format!("{what:>12}  {value}")).collect::<Vec<_>>().join("\n")
 }
+
+fn describe_volume(volume: &Volume) -> [(&'static str, String); 4] {
+    let [x, y, z] = volume.dims;
+    let values = [volume.low, volume.high].map(|sample| volume.value(sample));
+    let bricks = volume.dims.map(|count| u64::from(bricks_along(count))).into_iter().product();
+    [
+        ("volume", format!("{x}x{y}x{z} samples stored as {:?}, {:?} apart", volume.sample, volume.spacing)),
+        ("values", format!("{} to {}", values[0].min(values[1]), values[0].max(values[1]))),
+        ("bricks", format!("{} stored of {}", thousands(volume.bricks), thousands(bricks))),
+        ("ranges", format!("{} on {} levels", thousands(volume.branches), volume.levels)),
+    ]
+}
+
+/// The histogram as bars, and the isovalue that it suggests.
+fn describe_histogram(histogram: &Histogram) -> String {
+    let groups: Vec<(f64, u64)> = histogram
+        .counts()
+        .chunks(histogram.counts().len().div_ceil(HISTOGRAM_LINES).max(1))
+        .scan(0, |bin, counts| {
+            let first = *bin;
+            *bin += counts.len();
+            Some((histogram.bin(first)[0], counts.iter().sum()))
+        })
+        .collect();
+    // Square roots: what is rare shows beside air.
+    let most = groups.iter().map(|(_, count)| *count).max().unwrap_or(0).max(1) as f64;
+    let bar = |count: u64| {
+        let eighths = ((count as f64 / most).sqrt() * 8.0 * HISTOGRAM_WIDTH as f64).ceil();
+        (0..HISTOGRAM_WIDTH)
+            .map(|cell| [' ', '▏', '▎', '▍', '▌', '▋', '▊', '▉', '█'][(eighths - 8.0 * cell as f64).clamp(0.0, 8.0) as usize])
+            .collect::<String>()
+    };
+    let mut lines: Vec<String> = groups
+        .iter()
+        .map(|&(from, count)| format!("{from:>12.5}  {} {}", bar(count), thousands(count)))
+        .collect();
+    if histogram.absent() > 0 {
+        lines.push(format!("{:>12}  {}", "absent", thousands(histogram.absent())));
+    }
+    let suggested = histogram.auto_isovalue().map_or("none".to_owned(), |value| format!("{value}"));
+    lines.push(format!("{:>12}  {suggested}", "--iso auto"));
+    lines.join("\n")
+}
+
+fn stored_type(name: &str) -> Result<StoredType> {
+    StoredType::named(name).context("expected u8, u16 or f32")
+}
+
+/// Bars of a histogram.
+const HISTOGRAM_LINES: usize = 32;
+
+/// Characters of the longest bar.
+const HISTOGRAM_WIDTH: usize = 40;
 
 fn page_bytes(text: &str) -> Result<u32> {
     let Bytes(bytes) = text.parse()?;

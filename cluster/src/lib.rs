@@ -11,7 +11,8 @@
 //! | `supervisor` | starts processes, watches them, gathers tiles, ends them |
 //! | `control`, `link` | what supervisor and nodes say to each other, and the socket it goes over |
 //! | `node`, `painter`, `ports` | a process of the cluster: its pages, its render threads, its ways to the others |
-//! | `scene_source` | where the scene comes from: a mesh, an image, a built-in scene |
+//! | `scene_source` | where the scene comes from: a mesh, a volume, an image, a built-in scene |
+//! | `isovalue` | which isosurfaces of a volume are shown |
 //! | [`report`] | what a run prints and writes |
 //! | `picture`, `output` | pixels to PNG, and their hash; files that are whole or not there |
 //!
@@ -29,6 +30,7 @@
 
 pub mod command_line;
 mod control;
+mod isovalue;
 mod link;
 mod node;
 mod output;

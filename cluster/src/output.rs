@@ -1,6 +1,6 @@
 //! Files that a run writes: where they go, and whole or not at all.
 
-use std::fs::{self, File};
+use std::fs::{self, File, OpenOptions};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -36,7 +36,8 @@ pub(crate) fn check_folder_of(path: &Path) -> Result<()> {
 }
 
 fn write_partial<T>(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> Result<T>) -> Result<T> {
-    let mut file = BufWriter::with_capacity(1 << 20, File::create(path)?);
+    let opened = OpenOptions::new().read(true).write(true).create(true).truncate(true).open(path)?;
+    let mut file = BufWriter::with_capacity(1 << 20, opened);
     let value = write(&mut file)?;
     file.flush()?;
     Ok(value)

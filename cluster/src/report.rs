@@ -43,6 +43,15 @@ pub struct SceneReport {
     pub page_bytes: u32,
     /// What it uses, by name.
     pub needs: String,
+    /// Samples of its volume along each axis, if it has one.
+    #[serde(default)]
+    pub volume: Option<[u32; 3]>,
+    /// Values of the isosurfaces shown.
+    #[serde(default)]
+    pub isovalues: Vec<f32>,
+    /// What was not taken as it stands in a volume's file.
+    #[serde(default)]
+    pub notes: Vec<String>,
 }
 
 /// One frame.
@@ -175,11 +184,15 @@ impl Display for RunReport {
             f,
             "{}: {}, image of {} in {} pages of {}",
             scene.name,
-            counted(scene.triangles, scene.spheres),
+            counted(scene.triangles, scene.spheres, scene.volume),
             Bytes(scene.image_bytes),
             thousands(scene.pages.into()),
             Bytes(scene.page_bytes.into()),
         )?;
+        if !scene.isovalues.is_empty() {
+            writeln!(f, "isovalues {}", scene.isovalues.iter().map(f32::to_string).collect::<Vec<_>>().join(", "))?;
+        }
+        scene.notes.iter().try_for_each(|note| writeln!(f, "note: {note}"))?;
         writeln!(f)?;
         writeln!(f, "frame        ms   hits   shadow rays   image")?;
         for frame in &self.frames {
@@ -274,15 +287,12 @@ fn table(nodes: &[ProcessReport]) -> String {
     text
 }
 
-/// How many triangles and spheres, of what there are.
-pub(crate) fn counted(triangles: u64, spheres: u64) -> String {
-    let (of_triangles, of_spheres) =
-        (format!("{} triangles", thousands(triangles)), format!("{} spheres", thousands(spheres)));
-    match (triangles, spheres) {
-        (_, 0) => of_triangles,
-        (0, _) => of_spheres,
-        _ => format!("{of_triangles} and {of_spheres}"),
-    }
+/// How many triangles, spheres and samples, of what there are.
+pub(crate) fn counted(triangles: u64, spheres: u64, volume: Option<[u32; 3]>) -> String {
+    let of = |count: u64, what: &str| (count > 0).then(|| format!("{} {what}", thousands(count)));
+    let samples = volume.map(|[x, y, z]| format!("a volume of {x}x{y}x{z} samples"));
+    let parts = [of(triangles, "triangles"), of(spheres, "spheres"), samples];
+    parts.into_iter().flatten().collect::<Vec<_>>().join(" and ")
 }
 
 /// A count with a gap after every three digits: `1 234 567`.

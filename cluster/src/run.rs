@@ -10,15 +10,17 @@ use anyhow::{Context, Result, bail};
 use dsm_core::replacement::PolicyKind;
 use fault_linux::BackendKind;
 use rt_core::camera::OrbitPlace;
-use rt_core::{Frame, Header, Kernel, Orbit};
+use rt_core::{Frame, Header, Isosurface, Kernel, Orbit, Solver};
 use scene::builtin::BuiltIn;
 use transport_shm::{Inbox, Layout, PageFile};
 
 pub use crate::control::{BindTo, TransportKind};
 pub use crate::picture::Picture;
-pub use crate::scene_source::Source;
+pub use crate::isovalue::{Isovalue, Surface};
+pub use crate::scene_source::{Source, VolumeInput};
 
 use crate::control::{Files, SetUp};
+use crate::isovalue;
 use crate::plan::{Demand, Plan};
 use crate::progress::FrameBar;
 use crate::report::{FrameReport, RunReport, SceneReport, Totals};
@@ -59,6 +61,10 @@ pub struct Options {
     pub radius: f32,
     /// Height of the eye, in degrees above the horizon.
     pub elevation: f64,
+    /// Isosurfaces of a volume; none: one, at [`Isovalue::Auto`].
+    pub isosurfaces: Vec<Surface>,
+    /// How their roots are found.
+    pub solver: Solver,
     /// A fault that is not served, or a process that says nothing, for this long ends the run.
     pub deadline: Duration,
     /// Messages that are lost on purpose, in a thousand.
@@ -90,6 +96,8 @@ impl Default for Options {
             frames: 1,
             radius: 1.05,
             elevation: 0.0,
+            isosurfaces: Vec::new(),
+            solver: Solver::default(),
             deadline: Duration::from_secs(5),
             lose_per_mille: 0,
             seed: 1,
@@ -112,6 +120,8 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<
     let image = if options.is_replicated() { image.freeze()? } else { image };
     let run = Run::plan(options, &image)?;
     let (name, header) = (image.name.clone(), image.header);
+    let isosurfaces = isovalue::resolve(&options.isosurfaces, &options.source, &image)?;
+    let notes = image.notes.iter().map(ToString::to_string).collect();
     let files = run.files(image)?;
     let mut supervisor = Supervisor::start(&run.set_ups(options), &files, options.deadline)?;
     supervisor.wait_until_ready()?;
@@ -122,7 +132,7 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<
     let mut frames = Vec::new();
     let bar = FrameBar::new(options.quiet, options.frames);
     for number in 0..options.frames {
-        let drawing = supervisor.draw(options.frame(&orbit, number)?)?;
+        let drawing = supervisor.draw(options.frame(&orbit, number, &isosurfaces)?)?;
         on_frame(number, &drawing.picture)?;
         frames.push(drawing.report());
         bar.advance();
@@ -131,7 +141,7 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<
     let nodes = supervisor.finish()?;
     Ok(RunReport {
         command: options.command.clone(),
-        scene: run.scene_report(name, &header),
+        scene: run.scene_report(name, &header, &isosurfaces, notes),
         size: [options.size.width, options.size.height],
         transport: serde_json::to_value(options.transport)?.as_str().unwrap_or_default().to_owned(),
         totals: Totals::of(&frames, &nodes),
@@ -227,7 +237,13 @@ impl Run {
         if threads > u32::from(cores()) { 0 } else { SPIN_US }
     }
 
-    fn scene_report(&self, name: String, header: &Header) -> SceneReport {
+    fn scene_report(
+        &self,
+        name: String,
+        header: &Header,
+        isosurfaces: &[Isosurface],
+        notes: Vec<String>,
+    ) -> SceneReport {
         SceneReport {
             name,
             triangles: header.triangles,
@@ -236,6 +252,9 @@ impl Run {
             pages: self.plan.placement.page_count(),
             page_bytes: self.plan.page_bytes,
             needs: header.needs.to_string(),
+            volume: header.volume.map(|volume| volume.dims),
+            isovalues: isosurfaces.iter().map(|surface| surface.value).collect(),
+            notes,
         }
     }
 }
@@ -269,11 +288,12 @@ impl Options {
         self.backend == Some(BackendKind::Replicated)
     }
 
-    fn frame(&self, orbit: &Orbit, number: u32) -> Result<Frame> {
+    fn frame(&self, orbit: &Orbit, number: u32, isosurfaces: &[Isosurface]) -> Result<Frame> {
         let Self { radius, elevation, frames, .. } = *self;
         let place = OrbitPlace { radius, elevation, frame: number, frames };
-        Frame::on_orbit(orbit, &place, self.size.width, self.size.height)
-            .with_context(|| format!("no camera at --radius {} of this scene", self.radius))
+        let frame = Frame::on_orbit(orbit, &place, self.size.width, self.size.height)
+            .with_context(|| format!("no camera at --radius {} of this scene", self.radius))?;
+        Ok(frame.with_isosurfaces(isosurfaces, self.solver)?)
     }
 }
 

@@ -1,15 +1,18 @@
-//! Where the scene comes from: a mesh, a scene image, or a built-in scene.
+//! Where the scene comes from: a mesh, a volume, a scene image, or a built-in scene.
 
 use std::fs::File;
-use std::io::{BufWriter, Seek, SeekFrom};
+use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::os::fd::OwnedFd;
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use rt_core::Header;
+use rt_core::volume::TABLE_BYTES;
 use rustix::fs::{MemfdFlags, SealFlags, fcntl_add_seals, memfd_create};
 use scene::builtin::{BuiltIn, BuiltInError};
-use scene::{BuildOptions, Model, SceneFile};
+use scene::volume::{Histogram, Note, StoredType, VolumeName};
+use scene::{BuildOptions, Mesh, Model, Progress, SceneFile};
 
 use crate::progress::StageBar;
 use crate::size::Bytes;
@@ -21,6 +24,28 @@ pub enum Source {
     BuiltIn(BuiltIn),
     /// A mesh, or a scene image made by `memsavvy prepare`.
     Path(PathBuf),
+    /// A volume.
+    Volume(VolumeInput),
+}
+
+/// A volume, how it is stored, and what stands in it.
+#[derive(Clone, Debug)]
+pub struct VolumeInput {
+    /// A file or a formula.
+    pub name: VolumeName,
+    /// What a sample is stored as; `None`: the smallest type that loses nothing.
+    pub stored: Option<StoredType>,
+    /// A mesh in the same world units.
+    pub with: Option<PathBuf>,
+}
+
+/// What became of a source in a file.
+#[derive(Debug)]
+pub(crate) struct Written {
+    pub(crate) name: String,
+    pub(crate) header: Header,
+    /// What was not taken as it stands in a volume's file.
+    pub(crate) notes: Vec<Note>,
 }
 
 /// A scene image, open for the processes to read their stripes from.
@@ -28,6 +53,8 @@ pub enum Source {
 pub(crate) struct Image {
     pub(crate) name: String,
     pub(crate) header: Header,
+    /// What was not taken as it stands in a volume's file.
+    pub(crate) notes: Vec<Note>,
     file: OwnedFd,
     /// It lies in a memory file that nobody can change any more.
     is_frozen: bool,
@@ -37,26 +64,41 @@ pub(crate) struct Image {
 pub(crate) const PAGE_BYTES_DEFAULT: u32 = 16 << 10;
 
 impl Source {
-    /// What was typed: the name of a built-in scene, unless there is a file of that name, or a path.
+    /// What was typed: the name of a built-in scene or volume, unless there is a file of that name, or a path.
     ///
     /// # Errors
-    /// The name is one of a built-in scene, and the number after it makes no sense.
+    /// The name is one of a built-in scene or a volume, and what follows makes no sense; or a file cannot be read.
     pub fn named(name: &Path) -> Result<Self> {
         match name.to_str().map_or(Err(BuiltInError::Unknown), str::parse) {
-            Ok(built_in) if !name.exists() => Ok(Self::BuiltIn(built_in)),
-            Err(error) if error != BuiltInError::Unknown && !name.exists() => Err(error.into()),
-            _ => Ok(Self::Path(name.to_owned())),
+            Ok(built_in) if !name.exists() => return Ok(Self::BuiltIn(built_in)),
+            Err(error) if error != BuiltInError::Unknown && !name.exists() => return Err(error.into()),
+            _ => {}
+        }
+        let volume = VolumeName::recognise(name).with_context(|| format!("cannot use {}", name.display()))?;
+        Ok(match volume {
+            Some(name) => Self::Volume(VolumeInput { name, stored: None, with: None }),
+            None => Self::Path(name.to_owned()),
+        })
+    }
+
+    /// The isovalue whose surface is the one to see, where the source knows it.
+    pub(crate) fn isovalue(&self) -> Option<f64> {
+        match self {
+            Self::Volume(VolumeInput { name: VolumeName::Analytic { formula, .. }, .. }) => Some(formula.isovalue()),
+            _ => None,
         }
     }
 
-    /// Makes or reads the model, and tells what to call it. A scene image is none.
-    pub(crate) fn model(&self) -> Result<(String, Model)> {
+    /// Makes the scene image, with pages of `page_bytes`.
+    pub(crate) fn write(&self, page_bytes: u32, out: &mut BufWriter<File>, quiet: bool) -> Result<Written> {
+        let bar = StageBar::new(quiet);
+        let progress = |progress| bar.show(progress);
         match self {
-            Self::BuiltIn(built_in) => Ok((built_in.to_string(), built_in.model())),
+            Self::Volume(volume) => volume.write(page_bytes, out, &progress),
+            Self::BuiltIn(built_in) => write_model(built_in.to_string(), built_in.model(), page_bytes, out, &progress),
             Self::Path(path) => {
-                let name = path.display().to_string();
-                let mesh = scene::read_mesh(path).with_context(|| format!("cannot read {name}"))?;
-                Ok((name, mesh.into()))
+                let (name, mesh) = read_mesh(path)?;
+                write_model(name, mesh.into(), page_bytes, out, &progress)
             }
         }
     }
@@ -64,7 +106,7 @@ impl Source {
     /// Whether it is a scene image already.
     pub(crate) fn is_image(&self) -> Result<bool> {
         match self {
-            Self::BuiltIn(_) => Ok(false),
+            Self::BuiltIn(_) | Self::Volume(_) => Ok(false),
             Self::Path(path) => {
                 SceneFile::is_one(path).with_context(|| format!("cannot read {}", path.display()))
             }
@@ -76,14 +118,26 @@ impl Source {
         match self {
             Self::Path(path) if self.is_image()? => open_image(path.display().to_string(), path, page_bytes),
             _ => {
-                let (name, model) = self.model()?;
-                build(name, model, page_bytes, quiet)
+                let mut file = BufWriter::with_capacity(1 << 20, memory_file()?);
+                let written = self.write(page_bytes.unwrap_or(PAGE_BYTES_DEFAULT), &mut file, quiet)?;
+                let file = file.into_inner().map_err(std::io::IntoInnerError::into_error)?;
+                let Written { name, header, notes } = written;
+                Ok(Image { name, header, notes, file: frozen(file)?, is_frozen: true })
             }
         }
     }
 }
 
 impl Image {
+    /// An isovalue that the spread of the volume's samples suggests; `None` when they are all the same, or when there
+    /// is no volume.
+    pub(crate) fn auto_isovalue(&self) -> Result<Option<f64>> {
+        let Some(volume) = &self.header.volume else { return Ok(None) };
+        let mut bytes = vec![0; TABLE_BYTES];
+        File::from(self.file.try_clone()?).read_exact_at(&mut bytes, self.header.segments.table.offset)?;
+        Ok(Histogram::of_image(volume, &bytes).and_then(|histogram| histogram.auto_isovalue()))
+    }
+
     /// Copies the image into a memory file that nobody can change, unless it lies in one.
     ///
     /// For processes that map the whole of it: a file on disk could change under them.
@@ -117,18 +171,52 @@ fn open_image(name: String, path: &Path, page_bytes: Option<u32>) -> Result<Imag
         );
     }
     let file = opened.file().try_clone()?.into();
-    Ok(Image { name, header, file, is_frozen: false })
+    Ok(Image { name, header, notes: Vec::new(), file, is_frozen: false })
 }
 
-fn build(name: String, model: Model, page_bytes: Option<u32>, quiet: bool) -> Result<Image> {
-    let bar = StageBar::new(quiet);
-    let progress = |progress| bar.show(progress);
-    let built = scene::build(model, &BuildOptions::default(), &progress)
-        .with_context(|| format!("cannot use {name}"))?;
-    let mut file = BufWriter::with_capacity(1 << 20, memory_file()?);
-    let header = built.write(page_bytes.unwrap_or(PAGE_BYTES_DEFAULT), &mut file, &progress)?;
-    let file = file.into_inner().map_err(std::io::IntoInnerError::into_error)?;
-    Ok(Image { name, header, file: frozen(file)?, is_frozen: true })
+impl VolumeInput {
+    fn write(
+        &self,
+        page_bytes: u32,
+        out: &mut BufWriter<File>,
+        progress: &(dyn Fn(Progress) + Sync),
+    ) -> Result<Written> {
+        let Self { name, stored, with } = self;
+        let mut source = name.clone().open().with_context(|| format!("cannot use {name}"))?;
+        let mut title = name.to_string();
+        let mut built = None;
+        if let Some(path) = with {
+            let (of_mesh, mesh) = read_mesh(path)?;
+            let scene = scene::build(mesh, &BuildOptions::default(), progress);
+            built = Some(scene.with_context(|| format!("cannot use {of_mesh}"))?);
+            title = format!("{title} and {of_mesh}");
+        }
+        out.flush()?;
+        let notes = source.shape().notes.clone();
+        let header =
+            scene::write_volume(source.as_mut(), built.as_ref(), *stored, page_bytes, out.get_mut(), progress)
+                .with_context(|| format!("cannot use {name}"))?;
+        Ok(Written { name: title, header, notes })
+    }
+}
+
+fn read_mesh(path: &Path) -> Result<(String, Mesh)> {
+    let name = path.display().to_string();
+    let mesh = scene::read_mesh(path).with_context(|| format!("cannot read {name}"))?;
+    Ok((name, mesh))
+}
+
+fn write_model(
+    name: String,
+    model: Model,
+    page_bytes: u32,
+    out: &mut BufWriter<File>,
+    progress: &(dyn Fn(Progress) + Sync),
+) -> Result<Written> {
+    let built =
+        scene::build(model, &BuildOptions::default(), progress).with_context(|| format!("cannot use {name}"))?;
+    let header = built.write(page_bytes, out, progress)?;
+    Ok(Written { name, header, notes: Vec::new() })
 }
 
 fn memory_file() -> Result<File> {

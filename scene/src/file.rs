@@ -6,10 +6,12 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use rt_core::image::{HEADER_BYTES, MAGIC, SegmentKind};
+use rt_core::volume::TABLE_BYTES;
 use rt_core::{Flat, Header, HeaderError, SceneView};
 use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
 use crate::info::Info;
+use crate::volume::Histogram;
 
 /// A scene image on disk whose header was checked.
 #[derive(Debug)]
@@ -120,6 +122,17 @@ impl SceneFile {
         let mut bytes = vec![0; length];
         self.read_at(0, &mut bytes)?;
         Ok(bytes)
+    }
+
+    /// How the samples of the image's volume are spread, if it has one.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    pub fn histogram(&mut self) -> io::Result<Option<Histogram>> {
+        let Some(volume) = self.header.volume else { return Ok(None) };
+        let mut bytes = vec![0; TABLE_BYTES];
+        self.read_at(self.header.segments.table.offset, &mut bytes)?;
+        Ok(Histogram::of_image(&volume, &bytes))
     }
 
     /// The header of the image.

@@ -1,5 +1,7 @@
 //! How often which values occur, and where a surface may be.
 
+use rt_core::volume::{Volume, VolumeTable};
+
 use super::error::VolumeError;
 use super::stored::SampleRange;
 use super::{ValueMap, VolumeSource};
@@ -35,6 +37,19 @@ impl Histogram {
             Some(range) => Self::of_narrow(source, bins_max, range),
             None => Self::of_wide(source, bins_max),
         }
+    }
+
+    /// The counts that stand in the table of a scene image; `None` when these are not the bytes of one.
+    pub fn of_image(volume: &Volume, table: &[u8]) -> Option<Self> {
+        let table: VolumeTable = bytemuck::try_pod_read_unaligned(table).ok()?;
+        let [low, high] = [table.histogram_low, table.histogram_high].map(f64::from);
+        let counts = table.histogram.to_vec();
+        let bins = ValueMap { slope: (high - low) / counts.len() as f64, intercept: low };
+        let world = ValueMap { slope: volume.slope, intercept: volume.intercept };
+        let range = SampleRange { low: volume.low, high: volume.high, is_finite: table.absent == 0 };
+        let middle = |(bin, count): (usize, &u64)| bins.apply(bin as f64 + 0.5) * *count as f64;
+        let sum = counts.iter().enumerate().map(middle).sum();
+        Some(Self { counts, bins, world, range: Some(range), absent: table.absent, sum })
     }
 
     /// Counts every number the type has, then joins them to bins.
