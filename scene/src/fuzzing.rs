@@ -1,13 +1,15 @@
 //! Entry points for fuzzers: arbitrary bytes in, no panic and no hang out.
 
+use std::io::Cursor;
 use std::path::Path;
 use std::sync::OnceLock;
 
 use rt_core::image::HEADER_BYTES;
-use rt_core::{Flat, Ray, SceneView};
+use rt_core::{Flat, Ray, SceneView, Solver};
 use xxhash_rust::xxh3::xxh3_64;
 
 use crate::build::{BuildOptions, build};
+use crate::bricks::write_volume;
 use crate::builtin;
 use crate::volume::{self, VolumeSource};
 
@@ -16,14 +18,16 @@ use crate::volume::{self, VolumeSource};
 /// Half of the time it is one of triangles, else of triangles and spheres, as the length of `lies` says. Every four bytes of `lies` are one: where (three bytes, modulo the image's length) and what. Random bytes hardly ever
 /// are an image; this gets past the door.
 pub fn lying_image(lies: &[u8]) {
-    static GOOD: OnceLock<[Vec<u8>; 2]> = OnceLock::new();
+    static GOOD: OnceLock<[Vec<u8>; 3]> = OnceLock::new();
     let good = GOOD.get_or_init(|| {
-        [builtin::knot(2000).into(), builtin::sphereflake(2)].map(|model| {
+        let models = [builtin::knot(2000).into(), builtin::sphereflake(2)].map(|model| {
             let scene = build(model, &BuildOptions::default(), &|_| {});
             scene.ok().and_then(|scene| scene.to_bytes(4096).ok()).unwrap_or_default()
-        })
+        });
+        let [triangles, spheres] = models;
+        [triangles, spheres, volume_image().unwrap_or_default()]
     });
-    let mut bytes = good[lies.len() / 4 % 2].clone();
+    let mut bytes = good[lies.len() / 4 % 3].clone();
     for lie in lies.chunks_exact(4) {
         let place = u32::from_le_bytes([lie[0], lie[1], lie[2], 0]) as usize % bytes.len();
         bytes[place] = lie[3];
@@ -40,6 +44,7 @@ pub fn image(bytes: &[u8]) {
     let bounds = scene.header().bounds;
     let middle = (bounds.low + bounds.high) * 0.5;
     let size = bounds.high - bounds.low;
+    let surfaces = scene.isosurfaces(&[0.0, 0.4], Solver::default()).ok().flatten();
     for ray in 0..16_u16 {
         let towards = |bit: u16| if ray >> bit & 1 == 0 { 1.0 } else { -0.37 };
         let direction = glam::Vec3::new(towards(0), towards(1), towards(2)) * size;
@@ -51,10 +56,22 @@ pub fn image(bytes: &[u8]) {
             // Holds for any bytes: both walks read the same records until something is hit.
             assert!(any || nearest.is_none(), "any hit misses what nearest hit finds");
         }
+        if let Some(surfaces) = &surfaces {
+            let (nearest, any) = (surfaces.nearest(&ray, &mut ()), surfaces.any(&ray, &mut ()));
+            assert_eq!(nearest.map(|hit| hit.is_some()), any, "both look for the first root");
+        }
         if let Ok(Some(hit)) = nearest {
             let _ = scene.original_id(hit.primitive);
         }
     }
+}
+
+/// The image of a small volume.
+fn volume_image() -> Option<Vec<u8>> {
+    let mut out = Cursor::new(Vec::new());
+    let mut source = volume::Analytic::new(volume::Formula::Gyroid, 24).ok()?;
+    write_volume(&mut source, None, None, 4096, &mut out, &|_| {}).ok()?;
+    Some(out.into_inner())
 }
 
 /// Takes arbitrary bytes as a volume: as a file whose format they tell, as a name, and as a description in JSON. What

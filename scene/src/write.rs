@@ -69,6 +69,9 @@ impl Scene {
         self.write_clusters(&layout, &mut pages, progress)?;
         segments.clusters.checksum = pages.hash.digest();
         pages.whole_segment(&mut segments.ids, bytemuck::cast_slice(&self.tree.ids))?;
+        for unused in [&mut segments.table, &mut segments.ranges, &mut segments.bricks] {
+            pages.whole_segment(unused, &[])?;
+        }
         pages.pad_to(header.image_bytes)?;
         Ok(header)
     }

@@ -118,6 +118,12 @@ fn same_image_of_spheres_and_triangles() {
 }
 
 #[test]
+fn same_image_of_a_volume() {
+    // 8 % of it is more than a page of 64 KB.
+    same_image("gyroid:64", "gyroid", "96x96", 5);
+}
+
+#[test]
 fn any_kernel_draws_the_same() {
     let folder = Folder::new("kernels");
     let image = folder.file("knot.msv");
