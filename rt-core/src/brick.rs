@@ -1,6 +1,6 @@
 //! The samples of a brick.
 
-use crate::volume::{BRICK_EDGE, SampleKind};
+use crate::volume::{BRICK_EDGE, SampleKind, bits};
 
 /// A brick, borrowed from its record.
 #[derive(Clone, Copy, Debug)]
@@ -28,6 +28,23 @@ impl<'a> Brick<'a> {
         CORNERS.map(|corner| self.sample(lowest + corner))
     }
 
+    /// The samples at or above an isovalue: for each z a bit `x + 8 y` each.
+    pub(crate) fn inside(&self, isovalue: f32) -> [u64; BRICK_EDGE] {
+        let mut bytes = [0_u8; SAMPLES];
+        match self {
+            Self::U8(samples) => mark(&mut bytes, *samples, |&sample| f32::from(sample) >= isovalue),
+            Self::U16(samples) => {
+                mark(&mut bytes, *samples, |&sample| f32::from(u16::from_le_bytes(sample)) >= isovalue);
+            }
+            Self::F32(samples) => mark(&mut bytes, *samples, |&sample| f32::from_le_bytes(sample) >= isovalue),
+        }
+        let mut inside = [0; BRICK_EDGE];
+        for (slice, bytes) in inside.iter_mut().zip(bytes.chunks_exact(64)) {
+            *slice = bits(bytes);
+        }
+        inside
+    }
+
     #[inline]
     fn sample(&self, index: usize) -> f32 {
         let index = index % SAMPLES;
@@ -39,8 +56,36 @@ impl<'a> Brick<'a> {
     }
 }
 
+/// Writes 1 where something is true, else 0.
+#[inline(always)]
+fn mark<T>(bytes: &mut [u8; SAMPLES], of: &[T; SAMPLES], is: impl Fn(&T) -> bool) {
+    bytes.iter_mut().zip(of).for_each(|(byte, of)| *byte = u8::from(is(of)));
+}
+
 const SAMPLES: usize = crate::volume::BRICK_SAMPLES;
 
 /// From a sample to those of the same cell.
 pub(crate) const CORNERS: [usize; 8] =
     [0, 1, BRICK_EDGE, BRICK_EDGE + 1, 64, 65, 64 + BRICK_EDGE, 65 + BRICK_EDGE];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bits_are_those_of_the_bytes() {
+        for seed in [0_u64, u64::MAX, 0x9e37_79b9_7f4a_7c15, 1, 1 << 63, 0x0180_0000_ffff_0001] {
+            let bytes: [u8; 64] = core::array::from_fn(|i| u8::from(seed >> i & 1 != 0));
+            assert_eq!(bits(&bytes), seed);
+        }
+    }
+
+    #[test]
+    fn the_samples_inside_are_those_at_or_above_the_isovalue() {
+        let samples: [u8; 512] = core::array::from_fn(|i| u8::try_from(i * 7 % 251).expect("small"));
+        let inside = Brick::U8(&samples).inside(100.0);
+        for (i, sample) in samples.iter().enumerate() {
+            assert_eq!(inside[i / 64] >> (i % 64) & 1 != 0, *sample >= 100, "{i}");
+        }
+    }
+}

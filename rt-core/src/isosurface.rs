@@ -31,7 +31,8 @@ use crate::ray::Ray;
 use crate::scale::Scale;
 use crate::shade;
 use crate::view::{Damaged, SceneView};
-use crate::volume::{BRICK_CELLS, RangeBranch, Threshold, Volume};
+use crate::volume::{BRICK_CELLS, Threshold, Volume};
+use crate::volume_memo::{CellMask, Children, Memo};
 use crate::volume_ray::{Steps, VolumePlace, VolumeRay};
 
 /// Some isosurfaces of the volume of a scene: what rays look for.
@@ -138,7 +139,7 @@ impl<M: SceneMemory> Isosurfaces<'_, M> {
     pub fn nearest(&self, ray: &Ray, count: &mut impl Count) -> Result<Option<IsoHit>, Damaged> {
         let place = VolumePlace::new(&self.volume, Scale::ONE);
         let Some(through) = place.ray(ray.origin, ray.direction) else { return Ok(None) };
-        let root = self.first_root(&through, f64::from(ray.t_max), count)?;
+        let root = self.first_root(&through, f64::from(ray.t_max), &mut (), count)?;
         Ok(root.map(|root| IsoHit {
             t: single(root.t()),
             surface: self.sought()[root.index].surface,
@@ -154,7 +155,7 @@ impl<M: SceneMemory> Isosurfaces<'_, M> {
     pub fn any(&self, ray: &Ray, count: &mut impl Count) -> Result<bool, Damaged> {
         let place = VolumePlace::new(&self.volume, Scale::ONE);
         let Some(through) = place.ray(ray.origin, ray.direction) else { return Ok(false) };
-        Ok(self.first_root(&through, f64::from(ray.t_max), count)?.is_some())
+        Ok(self.first_root(&through, f64::from(ray.t_max), &mut (), count)?.is_some())
     }
 
     #[inline]
@@ -168,6 +169,7 @@ impl<M: SceneMemory> Isosurfaces<'_, M> {
         &self,
         ray: &VolumeRay,
         t_max: f64,
+        memo: &mut impl Memo,
         count: &mut impl Count,
     ) -> Result<Option<Root>, Damaged> {
         let (enter, exit) = ray.interval([0; 3], self.volume.cells());
@@ -177,7 +179,7 @@ impl<M: SceneMemory> Isosurfaces<'_, M> {
             return Ok(None);
         }
         let budget = Budget { branches: self.volume.branches, bricks: self.volume.bricks };
-        Walk { surfaces: self, ray, end, budget, count }.branch(0, [0; 3], self.volume.levels - 1, enter)
+        Walk { surfaces: self, ray, end, budget, memo, count }.branch(0, [0; 3], self.volume.levels - 1, enter)
     }
 
     /// Unit normal at a root.
@@ -193,24 +195,27 @@ impl<M: SceneMemory> Isosurfaces<'_, M> {
         }
     }
 
-    /// The children of a branch that any of the isosurfaces may be in, one bit each.
-    #[inline]
-    pub(crate) fn active(&self, branch: &RangeBranch) -> u64 {
-        self.sought().iter().fold(0, |active, sought| active | branch.active(sought.threshold))
+    /// The children of a branch that any of the isosurfaces may be in.
+    fn children(&self, index: u64) -> Result<Children, Damaged> {
+        let branch = self.scene.range_branch(index)?;
+        let may_be_in = |active, sought: &Sought| active | branch.active(sought.threshold);
+        let active = self.sought().iter().fold(0, may_be_in);
+        Ok(Children { active, present: branch.present, first: branch.first })
     }
 }
 
 /// A walk under way.
-struct Walk<'a, M, C> {
+struct Walk<'a, M, K, C> {
     surfaces: &'a Isosurfaces<'a, M>,
     ray: &'a VolumeRay,
     /// Where the ray ends, or leaves the volume.
     end: f64,
     budget: Budget,
+    memo: &'a mut K,
     count: &'a mut C,
 }
 
-impl<M: SceneMemory, C: Count> Walk<'_, M, C> {
+impl<M: SceneMemory, K: Memo, C: Count> Walk<'_, M, K, C> {
     /// Goes through a branch with `below` levels of branches under it, from `enter` on.
     fn branch(
         &mut self,
@@ -220,14 +225,14 @@ impl<M: SceneMemory, C: Count> Walk<'_, M, C> {
         enter: f64,
     ) -> Result<Option<Root>, Damaged> {
         Budget::spend(&mut self.budget.branches)?;
-        let branch = self.surfaces.scene.range_branch(index)?;
         self.count.branch();
-        let active = self.surfaces.active(&branch);
+        let surfaces = self.surfaces;
+        let children = self.memo.branch(index, || surfaces.children(index))?;
         let mut steps = Steps::<4>::new(self.ray, corner, BRICK_CELLS << (2 * below), enter);
         while steps.enter < self.end {
             let child = cell_index(steps.at.map(i32::cast_unsigned));
-            if active >> child & 1 != 0 && steps.enter < steps.exit() {
-                let index = branch.child_of(child).ok_or(Damaged::RangeBranch(u64::MAX))?;
+            if children.active >> child & 1 != 0 && steps.enter < steps.exit() {
+                let index = children.child_of(child).ok_or(Damaged::RangeBranch(u64::MAX))?;
                 let root = match below.checked_sub(1) {
                     Some(below) => self.branch(index, steps.corner(), below, steps.enter)?,
                     None => self.brick(index, steps.corner(), steps.enter)?,
@@ -253,7 +258,8 @@ impl<M: SceneMemory, C: Count> Walk<'_, M, C> {
         let mut steps = Steps::<{ BRICK_CELLS }>::new(self.ray, corner, 1, enter);
         while steps.enter < self.end {
             let exit = smaller(steps.exit(), self.end);
-            if steps.enter < exit {
+            let mask = || CellMask::new(&brick, self.surfaces.sought().iter().map(|sought| sought.stored));
+            if steps.enter < exit && self.memo.may_hold(index, steps.at, mask) {
                 self.count.voxel_cells(1);
                 let samples = brick.corners(steps.at);
                 let root = self.surfaces.root_in_cell(self.ray, steps.corner(), (steps.enter, exit), &samples, self.count);

@@ -91,6 +91,8 @@ pub mod triangle_woop;
 mod view;
 pub mod volume;
 #[cfg(feature = "volumes")]
+mod volume_memo;
+#[cfg(feature = "volumes")]
 pub mod volume_ray;
 #[cfg(feature = "volumes")]
 mod volume_tile;

@@ -192,7 +192,11 @@ impl RangeBranch {
         else {
             return 0;
         };
-        self.present & at_most(&self.low, highest) & at_least(&self.high, above)
+        let mut active = [0_u8; 64];
+        for (active, (low, high)) in active.iter_mut().zip(self.low.iter().zip(&self.high)) {
+            *active = u8::from(*low <= highest) & u8::from(*high >= above);
+        }
+        self.present & bits(&active)
     }
 
     /// Index of a child that is present, or `None` on overflow.
@@ -220,25 +224,14 @@ impl VolumeTable {
     }
 }
 
-/// The bytes that are at most `limit`, one bit each.
+/// One bit for each of up to 64 bytes that are 0 or 1.
 #[inline]
-fn at_most(bytes: &[u8; 64], limit: u8) -> u64 {
-    bits(bytes, |byte| byte <= limit)
-}
-
-/// The bytes that are at least `limit`, one bit each.
-#[inline]
-fn at_least(bytes: &[u8; 64], limit: u8) -> u64 {
-    bits(bytes, |byte| byte >= limit)
-}
-
-/// One bit for each byte that `is` true of.
-#[inline(always)]
-fn bits(bytes: &[u8; 64], is: impl Fn(u8) -> bool) -> u64 {
+pub(crate) fn bits(bytes: &[u8]) -> u64 {
     let mut mask = 0;
-    for (i, eight) in bytes.chunks_exact(8).enumerate() {
-        let byte = eight.iter().enumerate().fold(0_u64, |mask, (bit, &x)| mask | u64::from(is(x)) << bit);
-        mask |= byte << (8 * i);
+    for (i, &eight) in bytes.as_chunks::<8>().0.iter().enumerate() {
+        // The product moves the bit of byte `k` to bit `56 + k`; what is below does not carry.
+        let product = u64::from_le_bytes(eight).wrapping_mul(0x0102_0408_1020_4080);
+        mask |= product >> 56 << (8 * i);
     }
     mask
 }

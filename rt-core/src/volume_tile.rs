@@ -12,6 +12,7 @@ use crate::scale::Scale;
 use crate::shade::{self, ALBEDO, AMBIENT, LitPoint};
 use crate::tile::{Depths, Tile, TileView};
 use crate::view::Damaged;
+use crate::volume_memo::TileMemo;
 use crate::walk::walk;
 
 /// Draws a tile of a scene with a volume, and perhaps triangles and spheres besides: of both the nearer is seen, and
@@ -50,7 +51,7 @@ impl<M: SceneMemory, C: Count> ForKinds for DrawTile<'_, M, C> {
     fn run<K: Kinds>(self) -> TileCounts {
         let Self { view, isosurfaces, tile, pixels, work } = self;
         let counts = TileCounts::default();
-        let mut painter = Painter { view, isosurfaces, work, counts, depths: Depths::new() };
+        let mut painter = Painter { view, isosurfaces, memo: TileMemo::new(), work, counts, depths: Depths::new() };
         for (y, row) in (0_u32..).zip(pixels.chunks_exact_mut(tile.width as usize)) {
             let row_direction = view.frame.camera.row(tile.y + y);
             for (x, pixel) in (0_u32..).zip(row) {
@@ -71,6 +72,7 @@ impl<M: SceneMemory, C: Count> ForKinds for DrawTile<'_, M, C> {
 struct Painter<'a, M, C> {
     view: &'a TileView<'a, M>,
     isosurfaces: Option<Isosurfaces<'a, M>>,
+    memo: TileMemo,
     work: &'a mut C,
     counts: TileCounts,
     depths: Depths,
@@ -115,7 +117,7 @@ impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
         let Some(isosurfaces) = &self.isosurfaces else { return Ok(seen) };
         let t_max = seen.as_ref().map_or(f64::INFINITY, |seen| f64::from(seen.t));
         if let Some(ray) = isosurfaces.place.ray(eye, direction)
-            && let Some(root) = isosurfaces.first_root(&ray, t_max, self.work)?
+            && let Some(root) = isosurfaces.first_root(&ray, t_max, &mut self.memo, self.work)?
         {
             let surface = isosurfaces.sought()[root.index].surface as usize;
             let albedo = self.view.frame.isosurfaces().get(surface).map_or(ALBEDO, |surface| surface.albedo);
@@ -143,7 +145,7 @@ impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
             return Ok(true);
         }
         match self.isosurfaces.as_ref().and_then(|s| Some((s, s.place.ray(point.point, point.to_light)?))) {
-            Some((isosurfaces, ray)) => Ok(isosurfaces.first_root(&ray, 1.0, self.work)?.is_some()),
+            Some((isosurfaces, ray)) => Ok(isosurfaces.first_root(&ray, 1.0, &mut self.memo, self.work)?.is_some()),
             None => Ok(false),
         }
     }
