@@ -190,7 +190,7 @@ impl Bracket {
             let next = s - value / slope;
             // The root is where the value crosses, which tells the slope there.
             let crosses = if is_inside(self.at_low) { slope < 0.0 } else { slope > 0.0 };
-            if crosses && next == s {
+            if crosses && (next - s).abs() <= CLOSE {
                 break;
             }
             // Halve where Newton has the wrong slope, leaves the bounds, or does not halve its step.
@@ -317,7 +317,10 @@ fn clamp(s: f32) -> f32 {
 /// Linear interpolations of `neubauer` and `marmitt`.
 pub(crate) const INTERPOLATIONS: u32 = 3;
 
-/// Most Newton steps of `marmitt+newton`; it ends when one changes nothing.
+/// A Newton step in this is the last: some ten-millionths of a cell.
+const CLOSE: f32 = crate::scale::power_of_two(-22);
+
+/// Most Newton steps of `marmitt+newton`.
 pub(crate) const NEWTON_STEPS: u32 = 32;
 
 /// Halvings of `bisect`: to the last bit of a number near 1.

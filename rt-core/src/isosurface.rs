@@ -33,7 +33,7 @@ use crate::shade;
 use crate::view::{Damaged, SceneView};
 use crate::volume::{BRICK_CELLS, Threshold, Volume};
 use crate::volume_memo::{CellMask, Children, Memo};
-use crate::volume_ray::{Steps, VolumePlace, VolumeRay};
+use crate::volume_ray::{Steps, VolumePlace, VolumeRay, larger, smaller};
 
 /// Some isosurfaces of the volume of a scene: what rays look for.
 ///
@@ -328,16 +328,6 @@ pub(crate) fn gradient(samples: &[f32; 8], [x, y, z]: [f32; 3]) -> [f32; 3] {
         between(between(a, b, u), between(c, d, u), v)
     };
     [face([0, 2, 4, 6], 1, y, z), face([0, 1, 4, 5], 2, x, z), face([0, 1, 2, 3], 4, x, y)]
-}
-
-#[inline]
-fn smaller(a: f64, b: f64) -> f64 {
-    if a < b { a } else { b }
-}
-
-#[inline]
-fn larger(a: f64, b: f64) -> f64 {
-    if a > b { a } else { b }
 }
 
 #[inline]

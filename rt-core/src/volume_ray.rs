@@ -78,8 +78,8 @@ impl VolumeRay {
         for axis in 0..3 {
             let forwards = self.far_side[axis] != 0;
             let (near, far) = if forwards { (low[axis], high[axis]) } else { (high[axis], low[axis]) };
-            enter = enter.max(self.plane(axis, near));
-            exit = exit.min(self.plane(axis, far));
+            enter = larger(enter, self.plane(axis, near));
+            exit = smaller(exit, self.plane(axis, far));
         }
         (enter, exit)
     }
@@ -122,8 +122,7 @@ impl<const N: i32> Steps<N> {
         let at = [0, 1, 2].map(|axis| {
             let forwards = ray.far_side[axis] != 0;
             let crossed = |k: &i32| ray.plane(axis, corner[axis].wrapping_add(edge * k)) <= enter;
-            let behind = (1..N).filter(|k| crossed(k) == forwards).count();
-            i32::try_from(behind).unwrap_or(0)
+            (1..N).fold(0, |behind, k| behind + i32::from(crossed(&k) == forwards))
         });
         let mut steps = Self { at, enter, far: [0.0; 3], corner, edge };
         steps.far = [0, 1, 2].map(|axis| steps.far_plane(ray, axis));
@@ -133,23 +132,28 @@ impl<const N: i32> Steps<N> {
     /// Where the ray leaves the box.
     #[inline]
     pub(crate) fn exit(&self) -> f64 {
-        self.far[0].min(self.far[1]).min(self.far[2])
+        smaller(smaller(self.far[0], self.far[1]), self.far[2])
     }
 
     /// Goes on to the next box; `false` when the ray leaves the cube.
     #[inline]
     pub(crate) fn advance(&mut self, ray: &VolumeRay) -> bool {
         self.enter = self.exit();
-        let axis = if self.far[0] == self.enter {
-            0
+        // Each axis by its own code: what is chosen by an index has to go through memory.
+        if self.far[0] == self.enter {
+            self.cross::<0>(ray)
         } else if self.far[1] == self.enter {
-            1
+            self.cross::<1>(ray)
         } else {
-            2
-        };
-        self.at[axis] += 2 * ray.far_side[axis] - 1;
-        self.far[axis] = self.far_plane(ray, axis);
-        (0..N).contains(&self.at[axis])
+            self.cross::<2>(ray)
+        }
+    }
+
+    #[inline(always)]
+    fn cross<const AXIS: usize>(&mut self, ray: &VolumeRay) -> bool {
+        self.at[AXIS] += 2 * ray.far_side[AXIS] - 1;
+        self.far[AXIS] = self.far_plane(ray, AXIS);
+        (0..N).contains(&self.at[AXIS])
     }
 
     /// Lowest corner of the box.
@@ -158,11 +162,21 @@ impl<const N: i32> Steps<N> {
         [0, 1, 2].map(|axis| self.corner[axis].wrapping_add(self.at[axis] * self.edge))
     }
 
-    #[inline]
+    #[inline(always)]
     fn far_plane(&self, ray: &VolumeRay, axis: usize) -> f64 {
         let k = self.at[axis] + ray.far_side[axis];
         ray.plane(axis, self.corner[axis].wrapping_add(k * self.edge))
     }
+}
+
+#[inline]
+pub(crate) fn smaller(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
+#[inline]
+pub(crate) fn larger(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
 }
 
 /// Brings a number into `0..=1`; NaN becomes 0.
