@@ -416,7 +416,10 @@ fn describe_histogram(histogram: &Histogram) -> String {
     let bar = |count: u64| {
         let eighths = ((count as f64 / most).sqrt() * 8.0 * HISTOGRAM_WIDTH as f64).ceil();
         (0..HISTOGRAM_WIDTH)
-            .map(|cell| [' ', '▏', '▎', '▍', '▌', '▋', '▊', '▉', '█'][(eighths - 8.0 * cell as f64).clamp(0.0, 8.0) as usize])
+            .map(|cell| {
+                [' ', '▏', '▎', '▍', '▌', '▋', '▊', '▉', '█']
+                    [(eighths - 8.0 * cell as f64).clamp(0.0, 8.0) as usize]
+            })
             .collect::<String>()
     };
     let mut lines: Vec<String> = groups

@@ -34,7 +34,9 @@ impl FromStr for Surface {
         let number = |text: &str| text.parse().ok().filter(|number: &f32| number.is_finite());
         let isovalue = match value {
             "auto" => Isovalue::Auto,
-            value => Isovalue::Value(number(value).context("expected auto or a number, as in 80.5 or 80.5@0.4")?),
+            value => {
+                Isovalue::Value(number(value).context("expected auto or a number, as in 80.5 or 80.5@0.4")?)
+            }
         };
         let albedo = grey.map_or(Some(ALBEDO), number).filter(|grey| (0.0..=1.0).contains(grey));
         Ok(Self { isovalue, albedo: albedo.context("the grey behind @ is a number from 0 to 1")? })
@@ -54,7 +56,12 @@ pub(crate) fn resolve(asked: &[Surface], source: &Source, image: &Image) -> Resu
     }
     let default = [Surface { isovalue: Isovalue::Auto, albedo: ALBEDO }];
     let asked = if asked.is_empty() { &default } else { asked };
-    asked.iter().map(|surface| Ok(Isosurface { value: value(surface.isovalue, source, image)?, albedo: surface.albedo })).collect()
+    asked
+        .iter()
+        .map(|surface| {
+            Ok(Isosurface { value: value(surface.isovalue, source, image)?, albedo: surface.albedo })
+        })
+        .collect()
 }
 
 fn value(isovalue: Isovalue, source: &Source, image: &Image) -> Result<f32> {
@@ -64,7 +71,10 @@ fn value(isovalue: Isovalue, source: &Source, image: &Image) -> Result<f32> {
     let known = source.isovalue();
     // All samples the same: no value shows anything.
     let value = if known.is_some() { known } else { image.auto_isovalue()? }.unwrap_or(0.0);
-    #[expect(clippy::cast_possible_truncation, reason = "a value between samples, which are single precision")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "a value between samples, which are single precision"
+    )]
     let single = value as f32;
     Ok(single)
 }

@@ -190,7 +190,11 @@ impl Display for RunReport {
             Bytes(scene.page_bytes.into()),
         )?;
         if !scene.isovalues.is_empty() {
-            writeln!(f, "isovalues {}", scene.isovalues.iter().map(f32::to_string).collect::<Vec<_>>().join(", "))?;
+            writeln!(
+                f,
+                "isovalues {}",
+                scene.isovalues.iter().map(f32::to_string).collect::<Vec<_>>().join(", ")
+            )?;
         }
         scene.notes.iter().try_for_each(|note| writeln!(f, "note: {note}"))?;
         writeln!(f)?;

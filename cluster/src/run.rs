@@ -15,8 +15,8 @@ use scene::builtin::BuiltIn;
 use transport_shm::{Inbox, Layout, PageFile};
 
 pub use crate::control::{BindTo, TransportKind};
-pub use crate::picture::Picture;
 pub use crate::isovalue::{Isovalue, Surface};
+pub use crate::picture::Picture;
 pub use crate::scene_source::{Source, VolumeInput};
 
 use crate::control::{Files, SetUp};

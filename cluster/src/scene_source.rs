@@ -84,7 +84,9 @@ impl Source {
     /// The isovalue whose surface is the one to see, where the source knows it.
     pub(crate) fn isovalue(&self) -> Option<f64> {
         match self {
-            Self::Volume(VolumeInput { name: VolumeName::Analytic { formula, .. }, .. }) => Some(formula.isovalue()),
+            Self::Volume(VolumeInput { name: VolumeName::Analytic { formula, .. }, .. }) => {
+                Some(formula.isovalue())
+            }
             _ => None,
         }
     }
@@ -95,7 +97,9 @@ impl Source {
         let progress = |progress| bar.show(progress);
         match self {
             Self::Volume(volume) => volume.write(page_bytes, out, &progress),
-            Self::BuiltIn(built_in) => write_model(built_in.to_string(), built_in.model(), page_bytes, out, &progress),
+            Self::BuiltIn(built_in) => {
+                write_model(built_in.to_string(), built_in.model(), page_bytes, out, &progress)
+            }
             Self::Path(path) => {
                 let (name, mesh) = read_mesh(path)?;
                 write_model(name, mesh.into(), page_bytes, out, &progress)
@@ -193,9 +197,15 @@ impl VolumeInput {
         }
         out.flush()?;
         let notes = source.shape().notes.clone();
-        let header =
-            scene::write_volume(source.as_mut(), built.as_ref(), *stored, page_bytes, out.get_mut(), progress)
-                .with_context(|| format!("cannot use {name}"))?;
+        let header = scene::write_volume(
+            source.as_mut(),
+            built.as_ref(),
+            *stored,
+            page_bytes,
+            out.get_mut(),
+            progress,
+        )
+        .with_context(|| format!("cannot use {name}"))?;
         Ok(Written { name: title, header, notes })
     }
 }
@@ -213,8 +223,8 @@ fn write_model(
     out: &mut BufWriter<File>,
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Written> {
-    let built =
-        scene::build(model, &BuildOptions::default(), progress).with_context(|| format!("cannot use {name}"))?;
+    let built = scene::build(model, &BuildOptions::default(), progress)
+        .with_context(|| format!("cannot use {name}"))?;
     let header = built.write(page_bytes, out, progress)?;
     Ok(Written { name, header, notes: Vec::new() })
 }

@@ -36,7 +36,9 @@ impl<'a> Brick<'a> {
             Self::U16(samples) => {
                 mark(&mut bytes, *samples, |&sample| f32::from(u16::from_le_bytes(sample)) >= isovalue);
             }
-            Self::F32(samples) => mark(&mut bytes, *samples, |&sample| f32::from_le_bytes(sample) >= isovalue),
+            Self::F32(samples) => {
+                mark(&mut bytes, *samples, |&sample| f32::from_le_bytes(sample) >= isovalue)
+            }
         }
         let mut inside = [0; BRICK_EDGE];
         for (slice, bytes) in inside.iter_mut().zip(bytes.chunks_exact(64)) {

@@ -191,7 +191,9 @@ impl fmt::Display for FrameError {
                 write!(f, "{got} isosurfaces in a frame; it shows at most {ISOVALUES_MAX}")
             }
             Self::Isosurface => write!(f, "an isosurface has a finite value and a grey from 0 to 1"),
-            Self::Solver(number) => write!(f, "a frame with a solver that this build does not know: {number}"),
+            Self::Solver(number) => {
+                write!(f, "a frame with a solver that this build does not know: {number}")
+            }
             Self::NotFinite => write!(f, "camera or light has a coordinate that is not finite"),
         }
     }

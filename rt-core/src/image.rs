@@ -254,8 +254,14 @@ impl Header {
             (SegmentKind::Clusters, self.segments.clusters.bytes <= CLUSTER_BYTES_MAX),
             (SegmentKind::Ids, self.segments.ids.bytes == u64::from(self.primitives) * 4),
             (SegmentKind::Table, self.segments.table.bytes == self.volume.map_or(0, |_| TABLE_BYTES as u64)),
-            (SegmentKind::Ranges, self.segments.ranges.bytes == self.volume.map_or(0, |v| ranges_bytes(v.branches))),
-            (SegmentKind::Bricks, self.segments.bricks.bytes == self.volume.map_or(0, |v| v.brick_offset(v.bricks))),
+            (
+                SegmentKind::Ranges,
+                self.segments.ranges.bytes == self.volume.map_or(0, |v| ranges_bytes(v.branches)),
+            ),
+            (
+                SegmentKind::Bricks,
+                self.segments.bricks.bytes == self.volume.map_or(0, |v| v.brick_offset(v.bricks)),
+            ),
         ];
         lengths
             .into_iter()

@@ -179,7 +179,12 @@ impl<M: SceneMemory> Isosurfaces<'_, M> {
             return Ok(None);
         }
         let budget = Budget { branches: self.volume.branches, bricks: self.volume.bricks };
-        Walk { surfaces: self, ray, end, budget, memo, count }.branch(0, [0; 3], self.volume.levels - 1, enter)
+        Walk { surfaces: self, ray, end, budget, memo, count }.branch(
+            0,
+            [0; 3],
+            self.volume.levels - 1,
+            enter,
+        )
     }
 
     /// Unit normal at a root.
@@ -252,8 +257,7 @@ impl<M: SceneMemory, K: Memo, C: Count> Walk<'_, M, K, C> {
     fn brick(&mut self, index: u64, corner: [i32; 3], enter: f64) -> Result<Option<Root>, Damaged> {
         Budget::spend(&mut self.budget.bricks)?;
         let record = self.surfaces.scene.brick(index)?;
-        let brick =
-            Brick::new(self.surfaces.volume.sample, &record).ok_or(Damaged::Brick(index))?;
+        let brick = Brick::new(self.surfaces.volume.sample, &record).ok_or(Damaged::Brick(index))?;
         self.count.brick();
         let mut steps = Steps::<{ BRICK_CELLS }>::new(self.ray, corner, 1, enter);
         while steps.enter < self.end {
@@ -262,7 +266,13 @@ impl<M: SceneMemory, K: Memo, C: Count> Walk<'_, M, K, C> {
             if steps.enter < exit && self.memo.may_hold(index, steps.at, mask) {
                 self.count.voxel_cells(1);
                 let samples = brick.corners(steps.at);
-                let root = self.surfaces.root_in_cell(self.ray, steps.corner(), (steps.enter, exit), &samples, self.count);
+                let root = self.surfaces.root_in_cell(
+                    self.ray,
+                    steps.corner(),
+                    (steps.enter, exit),
+                    &samples,
+                    self.count,
+                );
                 if root.is_some() {
                     return Ok(root);
                 }

@@ -54,7 +54,8 @@ impl Samples<'_> {
             let next = self.next_plane(origin, direction, t).min(end);
             let middle = t + (next - t) * 0.5;
             let at = |t: f64| [0, 1, 2].map(|axis| origin[axis] + t * direction[axis]);
-            let cell = [0, 1, 2].map(|axis| libm::floor(at(middle)[axis]).clamp(0.0, (cells[axis] - 1.0).max(0.0)));
+            let cell =
+                [0, 1, 2].map(|axis| libm::floor(at(middle)[axis]).clamp(0.0, (cells[axis] - 1.0).max(0.0)));
             let local = |t: f64| [0, 1, 2].map(|axis| on_plane((at(t)[axis] - cell[axis]).clamp(0.0, 1.0)));
             #[expect(
                 clippy::cast_possible_truncation,
@@ -116,9 +117,7 @@ fn coefficients(values: &[f64; 8], from: [f64; 3], to: [f64; 3]) -> [f64; 4] {
 
 fn trilinear(values: &[f64; 8], [x, y, z]: [f64; 3]) -> f64 {
     let mix = |a: f64, b: f64, w: f64| a * (1.0 - w) + b * w;
-    let face = |at: usize| {
-        mix(mix(values[at], values[at + 1], x), mix(values[at + 2], values[at + 3], x), y)
-    };
+    let face = |at: usize| mix(mix(values[at], values[at + 1], x), mix(values[at + 2], values[at + 3], x), y);
     mix(face(0), face(4), z)
 }
 

@@ -82,10 +82,7 @@ pub(crate) struct TileMemo {
 impl TileMemo {
     pub(crate) const fn new() -> Self {
         let nothing = Children { active: 0, present: 0, first: 0 };
-        Self {
-            branches: [(u64::MAX, nothing); BRANCHES],
-            bricks: [(u64::MAX, CellMask([0; 7])); BRICKS],
-        }
+        Self { branches: [(u64::MAX, nothing); BRANCHES], bricks: [(u64::MAX, CellMask([0; 7])); BRICKS] }
     }
 }
 

@@ -51,7 +51,8 @@ impl<M: SceneMemory, C: Count> ForKinds for DrawTile<'_, M, C> {
     fn run<K: Kinds>(self) -> TileCounts {
         let Self { view, isosurfaces, tile, pixels, work } = self;
         let counts = TileCounts::default();
-        let mut painter = Painter { view, isosurfaces, memo: TileMemo::new(), work, counts, depths: Depths::new() };
+        let mut painter =
+            Painter { view, isosurfaces, memo: TileMemo::new(), work, counts, depths: Depths::new() };
         for (y, row) in (0_u32..).zip(pixels.chunks_exact_mut(tile.width as usize)) {
             let row_direction = view.frame.camera.row(tile.y + y);
             for (x, pixel) in (0_u32..).zip(row) {
@@ -121,7 +122,11 @@ impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
         {
             let surface = isosurfaces.sought()[root.index].surface as usize;
             let albedo = self.view.frame.isosurfaces().get(surface).map_or(ALBEDO, |surface| surface.albedo);
-            seen = Some(Seen { t: single(root.t()), normal: isosurfaces.normal(&ray, &root, direction), albedo });
+            seen = Some(Seen {
+                t: single(root.t()),
+                normal: isosurfaces.normal(&ray, &root, direction),
+                albedo,
+            });
         }
         Ok(seen)
     }
@@ -145,7 +150,9 @@ impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
             return Ok(true);
         }
         match self.isosurfaces.as_ref().and_then(|s| Some((s, s.place.ray(point.point, point.to_light)?))) {
-            Some((isosurfaces, ray)) => Ok(isosurfaces.first_root(&ray, 1.0, &mut self.memo, self.work)?.is_some()),
+            Some((isosurfaces, ray)) => {
+                Ok(isosurfaces.first_root(&ray, 1.0, &mut self.memo, self.work)?.is_some())
+            }
             None => Ok(false),
         }
     }

@@ -150,7 +150,9 @@ fn noise(n: usize, seed: u64) -> InMemory {
 
 #[test]
 fn smooth_surfaces_are_where_the_reference_has_them() {
-    for (solver, largest) in [(Solver::MarmittNewton, 2.0e-4), (Solver::Bisect, 2.0e-4), (Solver::Marmitt, 0.15)] {
+    for (solver, largest) in
+        [(Solver::MarmittNewton, 2.0e-4), (Solver::Bisect, 2.0e-4), (Solver::Marmitt, 0.15)]
+    {
         let found = differences(&mut blobs(40), 0.0, solver, 8000);
         assert!(found.hits > 2000, "{found:?}");
         assert!(found.elsewhere <= 8 && found.wrong == 0, "{solver}: {found:?}");
@@ -183,7 +185,8 @@ fn isovalues_equal_to_samples_constant_cells_and_plateaus() {
     let mut steps = InMemory::new([24; 3], |[x, y, z]| ((x / 3 + y / 2 * 2 + z / 4) % 4) as f32);
     for isovalue in [1.0, 2.0, 3.0, 1.5] {
         for stored in [Some(StoredType::F32), None] {
-            steps.shape.sample = if stored.is_none() { scene::volume::SampleType::U8 } else { steps.shape.sample };
+            steps.shape.sample =
+                if stored.is_none() { scene::volume::SampleType::U8 } else { steps.shape.sample };
             let found = differences(&mut steps, isovalue, Solver::MarmittNewton, 4000);
             assert!(found.hits > 2500 && found.wrong == 0, "{isovalue}: {found:?}");
         }
@@ -210,9 +213,8 @@ fn a_surface_that_touches_the_isovalue_shows_from_where_it_is_reached() {
 #[test]
 fn tangent_rays_of_a_sphere_differ_by_the_rounding_of_the_tangent_point_alone() {
     let n = 33;
-    let mut ball = InMemory::new([n; 3], |at| {
-        100.0 - at.map(|i| (i as f32 - 16.0).powi(2)).iter().sum::<f32>()
-    });
+    let mut ball =
+        InMemory::new([n; 3], |at| 100.0 - at.map(|i| (i as f32 - 16.0).powi(2)).iter().sum::<f32>());
     let image = ball.image(None, 4096);
     let scene = view(&image);
     let mut found = Differences { tolerance: 0.01, ..Differences::default() };
@@ -265,7 +267,10 @@ fn volumes_without_cells_are_empty_and_thin_ones_are_not() {
         let image = line.image(None, 4096);
         let scene = view(&image);
         assert_eq!(scene.header().volume.map(|volume| volume.bricks), Some(0), "{dims:?}");
-        assert_eq!(nearest(&scene, &ray([0.0, 0.0, -1.0], [0.0, 0.0, 1.0]), 5.5, Solver::MarmittNewton), None);
+        assert_eq!(
+            nearest(&scene, &ray([0.0, 0.0, -1.0], [0.0, 0.0, 1.0]), 5.5, Solver::MarmittNewton),
+            None
+        );
     }
     let mut thin = InMemory::new([2, 2, 300], |[.., z]| z as f32);
     let found = differences(&mut thin, 150.25, Solver::MarmittNewton, 2000);
@@ -277,7 +282,8 @@ fn spacings_of_1000_to_1_and_far_origins() {
     let mut volume = blobs(24);
     let cube = volume.image(None, 4096);
     let (spacing, origin) = ([1.0, 1.0 / 1024.0, 0.03125], [-3.0, 512.0, 0.125]);
-    volume.shape = volume.shape.with_spacing(spacing).and_then(|shape| shape.with_origin(origin)).expect("a shape");
+    volume.shape =
+        volume.shape.with_spacing(spacing).and_then(|shape| shape.with_origin(origin)).expect("a shape");
     let flat = volume.image(None, 4096);
     let (cube, flat) = (view(&cube), view(&flat));
     let world = |at: Vec3, from: [f64; 3]| {
@@ -285,7 +291,8 @@ fn spacings_of_1000_to_1_and_far_origins() {
     };
     let (mut hits, mut far) = (0, 0);
     for ray in rays([24; 3], 3000, 8) {
-        let stretched = Ray { origin: world(ray.origin, origin), direction: world(ray.direction, [0.0; 3]), ..ray };
+        let stretched =
+            Ray { origin: world(ray.origin, origin), direction: world(ray.direction, [0.0; 3]), ..ray };
         let expected = nearest(&cube, &ray, 0.0, Solver::MarmittNewton);
         let found = nearest(&flat, &stretched, 0.0, Solver::MarmittNewton);
         // The origin of the stretched ray is rounded to a 30th of a cell along y, so places are not compared closely.
@@ -372,11 +379,14 @@ fn several_surfaces_are_met_in_order_and_told_apart() {
     let mut ramp = InMemory::new([30; 3], |[x, ..]| x as f32);
     let image = ramp.image(None, 4096);
     let scene = view(&image);
-    let surfaces = scene.isosurfaces(&[20.5, 100.0, 3.25, 7.75], Solver::default()).expect("sound").expect("some");
-    let from_left = surfaces.nearest(&ray([-2.0, 5.5, 5.5], [2.0, 0.0, 0.0]), &mut ()).expect("sound").expect("a hit");
+    let surfaces =
+        scene.isosurfaces(&[20.5, 100.0, 3.25, 7.75], Solver::default()).expect("sound").expect("some");
+    let from_left =
+        surfaces.nearest(&ray([-2.0, 5.5, 5.5], [2.0, 0.0, 0.0]), &mut ()).expect("sound").expect("a hit");
     assert_eq!((from_left.t, from_left.surface, from_left.normal), (2.625, 2, Vec3::NEG_X));
     assert_eq!(from_left.cell, [3, 5, 5]);
-    let from_right = surfaces.nearest(&ray([40.0, 5.5, 5.5], [-1.0, 0.0, 0.0]), &mut ()).expect("sound").expect("a hit");
+    let from_right =
+        surfaces.nearest(&ray([40.0, 5.5, 5.5], [-1.0, 0.0, 0.0]), &mut ()).expect("sound").expect("a hit");
     assert_eq!((from_right.t, from_right.surface), (19.5, 0));
     // A ray that ends before the surface.
     let short = Ray { t_max: 2.6, ..ray([-2.0, 5.5, 5.5], [2.0, 0.0, 0.0]) };
@@ -416,7 +426,8 @@ fn storage_page_size_and_cache_do_not_show() {
         volume.image(stored, page)
     })
     .collect();
-    let kinds: Vec<_> = images.iter().map(|image| view(image).header().volume.map(|v| v.sample.bytes())).collect();
+    let kinds: Vec<_> =
+        images.iter().map(|image| view(image).header().volume.map(|v| v.sample.bytes())).collect();
     assert_eq!(kinds, [Some(4), Some(4), Some(2), Some(1)]);
     for ray in rays([50, 37, 20], 1000, 4) {
         let expected = nearest(&view(&images[0]), &ray, 77.5, Solver::MarmittNewton);

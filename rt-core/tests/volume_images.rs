@@ -12,8 +12,8 @@ use proptest::prelude::*;
 use rt_core::camera::OrbitPlace;
 use rt_core::image::{HEADER_BYTES, Segment};
 use rt_core::volume::{
-    BRICK_CELLS, RANGE_BYTES, RangeBranch, SampleKind, TABLE_BYTES, TABLE_EDGES, Volume, VolumeTable, bricks_along,
-    levels_for, morton, range_offset, ranges_bytes,
+    BRICK_CELLS, RANGE_BYTES, RangeBranch, SampleKind, TABLE_BYTES, TABLE_EDGES, Volume, VolumeTable,
+    bricks_along, levels_for, morton, range_offset, ranges_bytes,
 };
 use rt_core::{
     Bounds, Damaged, Flat, Frame, Isosurface, Kernel, Orbit, Ray, SceneMemory, SceneNeeds, SceneView, Solver,
@@ -88,7 +88,12 @@ impl Procedural {
             count *= 64;
         }
         let child_start = if count == 64_u64.pow(self.volume.levels - 1) { 0 } else { start + count };
-        RangeBranch { low: [0; 64], high: [255; 64], present: u64::MAX, first: child_start + 64 * (index - start) }
+        RangeBranch {
+            low: [0; 64],
+            high: [255; 64],
+            present: u64::MAX,
+            first: child_start + 64 * (index - start),
+        }
     }
 
     /// The brick with this Morton number.
@@ -317,9 +322,8 @@ fn every_kernel_draws_the_bits_that_rays_draw() {
 fn of_a_mesh_and_a_volume_the_nearer_is_seen_and_each_shades_the_other() {
     let mesh = builtin::knot(3000);
     let built = build(mesh.clone(), &BuildOptions::default(), &|_| {}).expect("builds");
-    let mut ball = InMemory::new([41; 3], |at| {
-        150.0 - at.map(|i| (i as f32 - 20.0).powi(2)).iter().sum::<f32>()
-    });
+    let mut ball =
+        InMemory::new([41; 3], |at| 150.0 - at.map(|i| (i as f32 - 20.0).powi(2)).iter().sum::<f32>());
     ball.shape = ball.shape.with_spacing([0.2; 3]).and_then(|s| s.with_origin([-4.0; 3])).expect("a shape");
     let mut out = Cursor::new(Vec::new());
     write_volume(&mut ball, Some(&built), None, 4096, &mut out, &|_| {}).expect("written");
@@ -349,6 +353,7 @@ fn of_a_mesh_and_a_volume_the_nearer_is_seen_and_each_shades_the_other() {
         same_surface.filter(|(((shaded, both), own), alone)| both == own && shaded < alone).count()
     };
     assert!(darker(&mesh_only, &mesh_drawn) > 10 && darker(&ball_only, &ball_drawn) > 10);
-    let hit = both.nearest(&Ray { origin: Vec3::new(3.0, 0.1, 9.0), direction: Vec3::NEG_Z, t_max: 99.0 }, &mut ());
+    let hit =
+        both.nearest(&Ray { origin: Vec3::new(3.0, 0.1, 9.0), direction: Vec3::NEG_Z, t_max: 99.0 }, &mut ());
     assert!(hit.expect("sound").is_some(), "triangles are found as ever");
 }

@@ -6,27 +6,32 @@
 //!     [--reps 5] [--loop 5] [--threads 1] [--out PICTURE.png]
 //! ```
 //! Without a mesh, or with a number in its place, the built-in knot is used, of that many triangles; with a name
-//! like `sphereflake:3`, that scene; `gyroid:256` and `ml:256` are volumes, shown at `--iso` by `--solver`. Rays are traced by one thread, `--threads` is for preparing. Times are best and median over the repetitions.
+//! like `sphereflake:3`, that scene; what `memsavvy` takes for a volume is one, shown at
+//! `--iso` by `--solver`. Rays are traced by one thread, `--threads` is for preparing. Times are best and median over the repetitions.
 
+use core::cell::RefCell;
 use core::error::Error;
+use std::collections::HashSet;
 use std::io::Cursor;
 use std::path::Path;
 use std::time::Instant;
 
 use rt_core::camera::OrbitPlace;
 use rt_core::shade::ALBEDO;
+use rt_core::volume::SampleKind;
 use rt_core::{
-    Count, Flat, Frame, Isosurface, Kernel, Orbit, SceneView, Solver, TileCounts, Tiles, WorkCounts, render_tile,
+    Count, Flat, Frame, Isosurface, Kernel, Orbit, SceneMemory, SceneView, Solver, TileCounts, Tiles,
+    WorkCounts, render_tile,
 };
 use scene::builtin::{BuiltIn, BuiltInError};
-use scene::volume::{Analytic, Formula, StoredType};
+use scene::volume::{StoredType, VolumeName};
 use scene::{BuildOptions, Info, Model, VolumeSource, build, builtin, read_mesh, write_volume};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut options = Options::from_arguments()?;
     rayon::ThreadPoolBuilder::new().num_threads(options.threads).build_global()?;
     let image = match options.volume()? {
-        Some(mut source) => prepare_volume(&mut source, &options)?,
+        Some(mut source) => prepare_volume(source.as_mut(), &options)?,
         None => {
             let started = Instant::now();
             let model = options.model()?;
@@ -127,6 +132,9 @@ fn measure_rays(
     }
     print!("{}, ", kernel);
     print_rays(radius, &counts, &work, best_and_median(&mut whole), best_and_median(&mut primary));
+    if scene.header().volume.is_some() {
+        print_pages(scene, &frame, kernel);
+    }
     if let Some(path) = &options.out {
         write_png(&picture, options.size, path)?;
     }
@@ -171,8 +179,65 @@ fn print_rays(radius: f32, counts: &TileCounts, work: &WorkCounts, whole: (f64, 
     }
 }
 
-fn draw(
-    scene: &SceneView<Flat<'_>>,
+/// Memory that notes which pages are read.
+struct Noting<'a> {
+    bytes: Flat<'a>,
+    page_bytes: u64,
+    touched: RefCell<HashSet<u64>>,
+}
+
+impl SceneMemory for Noting<'_> {
+    type Record<'b>
+        = &'b [u8]
+    where
+        Self: 'b;
+
+    fn record(&self, offset: u64, length: usize) -> Option<&[u8]> {
+        self.touched.borrow_mut().insert(offset / self.page_bytes);
+        self.bytes.record(offset, length)
+    }
+
+    fn length(&self) -> u64 {
+        self.bytes.length()
+    }
+}
+
+/// Prints how many pages of bricks a frame reads, and on how many any brick has samples on both sides of an isovalue.
+fn print_pages(scene: &SceneView<Flat<'_>>, frame: &Frame, kernel: Kernel) {
+    let Some(volume) = scene.header().volume else { return };
+    let page_bytes = u64::from(scene.header().page_bytes);
+    let noting = Noting { bytes: *scene.memory(), page_bytes, touched: RefCell::default() };
+    let Ok(noted) = SceneView::new(noting) else { return };
+    draw(&noted, frame, kernel, &mut ());
+    let start = scene.header().segments.bricks.offset;
+    let stored: Vec<f32> = frame.isosurfaces().iter().map(|surface| volume.stored(surface.value)).collect();
+    let crosses = |brick: &u64| {
+        let Ok(bytes) = scene.brick(*brick) else { return false };
+        let samples: Vec<f32> = match volume.sample {
+            SampleKind::U8 => bytes.iter().map(|&sample| f32::from(sample)).collect(),
+            SampleKind::U16 => {
+                bytes.as_chunks().0.iter().map(|&s| f32::from(u16::from_le_bytes(s))).collect()
+            }
+            SampleKind::F32 => bytes.as_chunks().0.iter().map(|&s| f32::from_le_bytes(s)).collect(),
+        };
+        let both = |iso: &f32| samples.iter().any(|s| s >= iso) && samples.iter().any(|s| s < iso);
+        stored.iter().any(both)
+    };
+    let page_of = |brick: u64| (start + volume.brick_offset(brick)) / page_bytes;
+    let own: HashSet<u64> = (0..volume.bricks).filter(crosses).map(page_of).collect();
+    let touched = noted.memory().touched.borrow();
+    let of_bricks = touched.iter().filter(|page| **page >= start / page_bytes);
+    let (all, in_own) = (of_bricks.clone().count(), of_bricks.filter(|page| own.contains(page)).count());
+    println!(
+        "  pages of bricks: {all} read, {in_own} of them among the {} that the surface lies on, of {} in all; {} others read",
+        own.len(),
+        scene.header().segments.bricks.bytes.div_ceil(page_bytes),
+        touched.len() - all
+    );
+}
+
+fn draw<M: SceneMemory>(
+    scene: &SceneView<M>,
     frame: &Frame,
     kernel: Kernel,
     work: &mut impl Count,
@@ -271,13 +336,13 @@ impl Options {
         Ok(options)
     }
 
-    fn volume(&mut self) -> Result<Option<Analytic>, Box<dyn Error>> {
-        let Some((name, size)) = self.mesh.as_ref().and_then(|name| name.split_once(':')) else { return Ok(None) };
-        let Some(formula) = Formula::named(name) else { return Ok(None) };
-        if self.isovalues.is_empty() {
+    fn volume(&mut self) -> Result<Option<Box<dyn VolumeSource>>, Box<dyn Error>> {
+        let Some(name) = &self.mesh else { return Ok(None) };
+        let Some(volume) = VolumeName::recognise(Path::new(name))? else { return Ok(None) };
+        if let (VolumeName::Analytic { formula, .. }, true) = (&volume, self.isovalues.is_empty()) {
             self.isovalues = vec![formula.isovalue() as f32];
         }
-        Ok(Some(Analytic::new(formula, size.parse()?)?))
+        Ok(Some(volume.open()?))
     }
 
     fn model(&self) -> Result<Model, Box<dyn Error>> {

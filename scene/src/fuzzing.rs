@@ -8,8 +8,8 @@ use rt_core::image::HEADER_BYTES;
 use rt_core::{Flat, Ray, SceneView, Solver};
 use xxhash_rust::xxh3::xxh3_64;
 
-use crate::build::{BuildOptions, build};
 use crate::bricks::write_volume;
+use crate::build::{BuildOptions, build};
 use crate::builtin;
 use crate::volume::{self, VolumeSource};
 

@@ -195,7 +195,8 @@ impl RawHeader {
 
 impl RawVolume {
     fn encode(volume: &Volume) -> Self {
-        let &Volume { dims, sample, levels, origin, spacing, slope, intercept, low, high, branches, bricks } = volume;
+        let &Volume { dims, sample, levels, origin, spacing, slope, intercept, low, high, branches, bricks } =
+            volume;
         Self {
             dims,
             sample: sample as u32,
@@ -213,7 +214,20 @@ impl RawVolume {
     }
 
     fn decode(&self) -> Result<Volume, HeaderError> {
-        let &Self { dims, sample, origin, spacing, slope, intercept, low, high, levels, branches, bricks, .. } = self;
+        let &Self {
+            dims,
+            sample,
+            origin,
+            spacing,
+            slope,
+            intercept,
+            low,
+            high,
+            levels,
+            branches,
+            bricks,
+            ..
+        } = self;
         let sample = SampleKind::from_bits(sample).ok_or(HeaderError::Grid("samples"))?;
         Ok(Volume { dims, sample, levels, origin, spacing, slope, intercept, low, high, branches, bricks })
     }

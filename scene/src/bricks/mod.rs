@@ -90,7 +90,8 @@ pub fn write_volume<W: Read + Write + Seek>(
     let start = out.stream_position()?;
     let mut header = scene.write_primitives(page_bytes, out, progress)?;
     add_volume(&mut header, volume, &bounds, scene.model.view.is_none());
-    let mut writer = Bricks { out, start, header, coder: Coder { storage, table }, tree, progress, written: 0 };
+    let mut writer =
+        Bricks { out, start, header, coder: Coder { storage, table }, tree, progress, written: 0 };
     for_each_slab(source, dims, |slab| writer.write_slab(slab))?;
     writer.finish()
 }

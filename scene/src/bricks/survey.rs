@@ -59,8 +59,7 @@ impl Survey {
 
     /// The table for samples that are stored so. The histogram is empty yet.
     pub(super) fn table(&self, storage: &Storage) -> VolumeTable {
-        let [histogram_low, histogram_high] =
-            self.spread.middle().map(|sample| storage.encode(sample));
+        let [histogram_low, histogram_high] = self.spread.middle().map(|sample| storage.encode(sample));
         VolumeTable {
             edges: self.edges(storage),
             histogram: [0; HISTOGRAM_BINS],

@@ -49,9 +49,8 @@ impl RangeTree {
 
     /// Fills a branch with `below` levels of branches under it; children together, then what is under each.
     fn grow(&mut self, survey: &Survey, index: usize, below: u32, first_brick: [u32; 3]) {
-        let children: Vec<u32> = (0..64)
-            .filter(|&cell| shows(survey, below, child_of(first_brick, cell, below)))
-            .collect();
+        let children: Vec<u32> =
+            (0..64).filter(|&cell| shows(survey, below, child_of(first_brick, cell, below))).collect();
         let present = children.iter().fold(0, |present, cell| present | 1 << cell);
         let first = if below == 0 { self.bricks } else { self.branches.len() as u64 };
         self.branches[index] = RangeBranch { present, first, ..EMPTY };
