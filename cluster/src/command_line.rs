@@ -13,13 +13,13 @@ use clap::{Args, Parser, Subcommand};
 use dsm_core::replacement::PolicyKind;
 use fault_linux::BackendKind;
 use rt_core::image::{PAGE_BYTES_MAX, PAGE_BYTES_MIN};
-use rt_core::volume::{Volume, bricks_along};
 use rt_core::{Kernel, Solver};
 use scene::builtin::BuiltIn;
-use scene::volume::{Histogram, StoredType};
+use scene::volume::StoredType;
 use scene::{Info, SceneFile};
 
 use crate::control::{BindTo, TransportKind};
+use crate::describe::{describe_histogram, describe_volume};
 use crate::output::{Destination, check_folder_of, write_whole};
 use crate::report::{RunReport, counted, thousands};
 use crate::run::{Options, Source, Surface, run};
@@ -388,61 +388,9 @@ fn describe(info: &Info) -> String {
     lines.iter().map(|(what, value)| format!("{what:>12}  {value}")).collect::<Vec<_>>().join("\n")
 }
 
-fn describe_volume(volume: &Volume) -> [(&'static str, String); 4] {
-    let [x, y, z] = volume.dims;
-    let values = [volume.low, volume.high].map(|sample| volume.value(sample));
-    let bricks = volume.dims.map(|count| u64::from(bricks_along(count))).into_iter().product();
-    [
-        ("volume", format!("{x}x{y}x{z} samples stored as {:?}, {:?} apart", volume.sample, volume.spacing)),
-        ("values", format!("{} to {}", values[0].min(values[1]), values[0].max(values[1]))),
-        ("bricks", format!("{} stored of {}", thousands(volume.bricks), thousands(bricks))),
-        ("ranges", format!("{} on {} levels", thousands(volume.branches), volume.levels)),
-    ]
-}
-
-/// The histogram as bars, and the isovalue that it suggests.
-fn describe_histogram(histogram: &Histogram) -> String {
-    let groups: Vec<(f64, u64)> = histogram
-        .counts()
-        .chunks(histogram.counts().len().div_ceil(HISTOGRAM_LINES).max(1))
-        .scan(0, |bin, counts| {
-            let first = *bin;
-            *bin += counts.len();
-            Some((histogram.bin(first)[0], counts.iter().sum()))
-        })
-        .collect();
-    // Square roots: what is rare shows beside air.
-    let most = groups.iter().map(|(_, count)| *count).max().unwrap_or(0).max(1) as f64;
-    let bar = |count: u64| {
-        let eighths = ((count as f64 / most).sqrt() * 8.0 * HISTOGRAM_WIDTH as f64).ceil();
-        (0..HISTOGRAM_WIDTH)
-            .map(|cell| {
-                [' ', '▏', '▎', '▍', '▌', '▋', '▊', '▉', '█']
-                    [(eighths - 8.0 * cell as f64).clamp(0.0, 8.0) as usize]
-            })
-            .collect::<String>()
-    };
-    let mut lines: Vec<String> = groups
-        .iter()
-        .map(|&(from, count)| format!("{from:>12.5}  {} {}", bar(count), thousands(count)))
-        .collect();
-    if histogram.absent() > 0 {
-        lines.push(format!("{:>12}  {}", "absent", thousands(histogram.absent())));
-    }
-    let suggested = histogram.auto_isovalue().map_or("none".to_owned(), |value| format!("{value}"));
-    lines.push(format!("{:>12}  {suggested}", "--iso auto"));
-    lines.join("\n")
-}
-
 fn stored_type(name: &str) -> Result<StoredType> {
     StoredType::named(name).context("expected u8, u16 or f32")
 }
-
-/// Bars of a histogram.
-const HISTOGRAM_LINES: usize = 32;
-
-/// Characters of the longest bar.
-const HISTOGRAM_WIDTH: usize = 40;
 
 fn page_bytes(text: &str) -> Result<u32> {
     let Bytes(bytes) = text.parse()?;

@@ -14,6 +14,7 @@
 //! | `scene_source` | where the scene comes from: a mesh, a volume, an image, a built-in scene |
 //! | `isovalue` | which isosurfaces of a volume are shown |
 //! | [`report`] | what a run prints and writes |
+//! | `describe` | a volume in words and bars |
 //! | `picture`, `output` | pixels to PNG, and their hash; files that are whole or not there |
 //!
 //! # Life of a run
@@ -30,6 +31,7 @@
 
 pub mod command_line;
 mod control;
+mod describe;
 mod isovalue;
 mod link;
 mod node;

@@ -32,13 +32,11 @@ impl<'a> Brick<'a> {
     pub(crate) fn inside(&self, isovalue: f32) -> [u64; BRICK_EDGE] {
         let mut bytes = [0_u8; SAMPLES];
         match self {
-            Self::U8(samples) => mark(&mut bytes, *samples, |&sample| f32::from(sample) >= isovalue),
+            Self::U8(samples) => mark(&mut bytes, samples, |&sample| f32::from(sample) >= isovalue),
             Self::U16(samples) => {
-                mark(&mut bytes, *samples, |&sample| f32::from(u16::from_le_bytes(sample)) >= isovalue);
+                mark(&mut bytes, samples, |&sample| f32::from(u16::from_le_bytes(sample)) >= isovalue);
             }
-            Self::F32(samples) => {
-                mark(&mut bytes, *samples, |&sample| f32::from_le_bytes(sample) >= isovalue)
-            }
+            Self::F32(samples) => mark(&mut bytes, samples, |&sample| f32::from_le_bytes(sample) >= isovalue),
         }
         let mut inside = [0; BRICK_EDGE];
         for (slice, bytes) in inside.iter_mut().zip(bytes.chunks_exact(64)) {

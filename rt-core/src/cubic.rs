@@ -129,7 +129,7 @@ impl Cubic {
         let (a, b, c) = (b - a, c - b, d - c);
         // The derivative is a (1 - s)^2 + 2 b s (1 - s) + c s^2, up to a factor.
         let under = b * b - a * c;
-        if !(under > 0.0) {
+        if under <= 0.0 || under.is_nan() {
             return [0.0, 0.0];
         }
         let half = a - b;

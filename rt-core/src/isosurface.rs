@@ -174,8 +174,7 @@ impl<M: SceneMemory> Isosurfaces<'_, M> {
     ) -> Result<Option<Root>, Damaged> {
         let (enter, exit) = ray.interval([0; 3], self.volume.cells());
         let (enter, end) = (larger(enter, 0.0), smaller(exit, t_max));
-        // Written so that a NaN misses.
-        if !(enter < end) {
+        if enter >= end || end.is_nan() {
             return Ok(None);
         }
         let budget = Budget { branches: self.volume.branches, bricks: self.volume.bricks };

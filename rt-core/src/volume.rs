@@ -271,7 +271,8 @@ pub const fn morton([x, y, z]: [u32; 3]) -> u128 {
 /// Offset of a range branch in its segment: [`RANGES_PER_GROUP`] in every 4 KB, so that none crosses a page.
 #[inline]
 pub const fn range_offset(index: u64) -> u64 {
-    index / RANGES_PER_GROUP * GROUP_BYTES + index % RANGES_PER_GROUP * RANGE_BYTES as u64
+    let per_group = RANGES_PER_GROUP as u64;
+    index / per_group * GROUP_BYTES as u64 + index % per_group * RANGE_BYTES as u64
 }
 
 /// Length of the segment with this many range branches.
@@ -298,7 +299,7 @@ pub const TABLE_BYTES: usize = size_of::<VolumeTable>();
 pub const TABLE_EDGES: usize = 256;
 
 /// Range branches in each 4 KB of their segment; 64 bytes are left over.
-pub const RANGES_PER_GROUP: u64 = GROUP_BYTES / RANGE_BYTES as u64;
+pub const RANGES_PER_GROUP: usize = GROUP_BYTES as usize / RANGE_BYTES;
 
 /// Parts of a histogram.
 pub const HISTOGRAM_BINS: usize = 128;
@@ -318,7 +319,7 @@ const SPACING_MIN: f64 = 1.0e-60;
 /// Most records of a segment, so that offsets cannot overflow.
 const RECORDS_MAX: u64 = 1 << 48;
 
-const GROUP_BYTES: u64 = 4096;
+const GROUP_BYTES: u32 = 4096;
 
 const _: () = assert!(RANGE_BYTES == 144 && RANGES_PER_GROUP == 28 && TABLE_BYTES <= 4096);
 const _: () = assert!(levels_for([SAMPLES_MAX; 3]) == RANGE_LEVELS_MAX);

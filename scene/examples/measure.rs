@@ -340,7 +340,7 @@ impl Options {
         let Some(name) = &self.mesh else { return Ok(None) };
         let Some(volume) = VolumeName::recognise(Path::new(name))? else { return Ok(None) };
         if let (VolumeName::Analytic { formula, .. }, true) = (&volume, self.isovalues.is_empty()) {
-            self.isovalues = vec![formula.isovalue() as f32];
+            self.isovalues = vec![formula.isovalue().to_string().parse()?];
         }
         Ok(Some(volume.open()?))
     }

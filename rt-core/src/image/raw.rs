@@ -118,7 +118,7 @@ impl RawHeader {
             grid_origin: header.grid.origin.to_array(),
             grid_size: header.grid.size,
             slack: header.grid.slack,
-            segment_count: SEGMENTS as u32,
+            segment_count: segment_count(),
             segments,
             spheres: header.spheres,
             view_low: header.view.low.to_array(),
@@ -231,6 +231,12 @@ impl RawVolume {
         let sample = SampleKind::from_bits(sample).ok_or(HeaderError::Grid("samples"))?;
         Ok(Volume { dims, sample, levels, origin, spacing, slope, intercept, low, high, branches, bricks })
     }
+}
+
+const fn segment_count() -> u32 {
+    #[expect(clippy::cast_possible_truncation, reason = "a handful")]
+    let count = SEGMENTS as u32;
+    count
 }
 
 /// Room in the directory.

@@ -117,8 +117,8 @@ fn add_volume(header: &mut Header, volume: Volume, bounds: &Bounds, is_view: boo
     header.segments.bricks = segment(volume.brick_offset(volume.bricks));
     header.image_bytes = end;
     if header.needs.has_primitives() {
-        let both = |a: &Bounds| Bounds { low: a.low.min(bounds.low), high: a.high.max(bounds.high) };
-        header.bounds = both(&header.bounds);
+        let old = header.bounds;
+        header.bounds = Bounds { low: old.low.min(bounds.low), high: old.high.max(bounds.high) };
         if is_view {
             header.view = header.bounds;
         }

@@ -190,8 +190,7 @@ fn is_varied(slab: &Slab, at: [u32; 2]) -> bool {
 
 /// Whether a sample is one that no surface can be next to.
 pub(super) fn is_absent(sample: f32) -> bool {
-    // Written so that NaN is absent.
-    !(sample.abs() <= VALUE_MAX)
+    sample.is_nan() || sample.abs() > VALUE_MAX
 }
 
 /// The part that a sample lies in: its leading bits, in an order in which they ascend.

@@ -70,9 +70,7 @@ impl<W: Read + Write + Seek> Bricks<'_, W> {
         let table = self.coder.table;
         self.write_at(segments.table.offset, bytemuck::bytes_of(&table))?;
         let mut groups = vec![0; usize::try_from(segments.ranges.bytes).unwrap_or(0)];
-        for (group, branches) in
-            groups.chunks_mut(4096).zip(self.tree.branches.chunks(RANGES_PER_GROUP as usize))
-        {
+        for (group, branches) in groups.chunks_mut(4096).zip(self.tree.branches.chunks(RANGES_PER_GROUP)) {
             for (bytes, branch) in group.chunks_exact_mut(RANGE_BYTES).zip(branches) {
                 bytes.copy_from_slice(bytemuck::bytes_of(branch));
             }

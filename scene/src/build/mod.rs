@@ -29,7 +29,6 @@ mod vertex_set;
 
 use core::sync::atomic::{AtomicU64, Ordering};
 
-use glam::Vec3;
 use rt_core::grid::{Branch, GridShape, Leaf};
 use rt_core::image::SCALE_EXPONENT_MAX;
 use rt_core::{Bounds, SceneNeeds};
@@ -148,7 +147,7 @@ pub fn build(
 impl Scene {
     /// A scene without triangles and spheres.
     pub(crate) fn without_primitives(bounds: Bounds, scale_exponent: i32) -> Self {
-        let grid = GridShape { origin: Vec3::ZERO, size: 1.0, slack: 0.0, levels: 1 };
+        let grid = GridShape { origin: glam::Vec3::ZERO, size: 1.0, slack: 0.0, levels: 1 };
         Self {
             model: Model::default(),
             bounds,
