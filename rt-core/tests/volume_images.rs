@@ -171,7 +171,7 @@ fn far_corners_of_volumes_beyond_32_bits_are_where_they_should_be() {
 fn blob() -> InMemory {
     InMemory::new([40, 30, 36], |[x, y, z]| {
         let r2 = (x as f32 - 20.0).powi(2) + (y as f32 - 15.0).powi(2) + (z as f32 - 18.0).powi(2);
-        single((f64::from(x as u16) * 0.9).sin() * 30.0) + 150.0 - r2
+        single((x as f64 * 0.9).sin() * 30.0) + 150.0 - r2
     })
 }
 
