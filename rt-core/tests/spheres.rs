@@ -121,7 +121,7 @@ fn many_rays_through_a_sphereflake_agree() {
         let model = builtin::sphereflake(depth);
         let image = image(&model, slack, 4096);
         let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
-        assert_eq!(scene.header().needs, SceneNeeds::KNOWN);
+        assert_eq!(scene.header().needs, SceneNeeds::TRIANGLES.with(SceneNeeds::SPHERES));
         let mut dice = Dice(7);
         let mut hits = [0; 2];
         for _ in 0..2000 {
