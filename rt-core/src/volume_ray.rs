@@ -10,7 +10,7 @@
 //! three far ones. That is the whole definition: every way of walking, skipping and culling meets the same cells with
 //! the same intervals, and two cells that share a face share the `t` of it, bit for bit.
 //!
-//! [`VolumeRay::place`] is the place in a cell at some `t`: on a plane of the cell it is 0 or 1 exactly, else
+//! `VolumeRay::place` is the place in a cell at some `t`: on a plane of the cell it is 0 or 1 exactly, else
 //! computed and clamped. So on a shared face both cells see the same four samples with the same two weights.
 
 use glam::Vec3;
