@@ -102,17 +102,9 @@ impl<'a> Cluster<'a> {
         self.corners.map(|corners| corners.get(index).map_or(Vec3::ZERO, |&vertex| self.vertex(vertex)))
     }
 
-    /// Whether triangle `index` has these corners.
+    /// A vertex, in grid units; one that the record does not have is the origin.
     #[inline]
-    pub(crate) fn is_triangle(&self, index: usize, corners: &[Vec3; 3]) -> bool {
-        (0..3).all(|corner| {
-            let vertex = self.corners[corner].get(index).copied().unwrap_or(0);
-            self.vertex(vertex) == corners[corner]
-        })
-    }
-
-    #[inline]
-    fn vertex(&self, vertex: u8) -> Vec3 {
+    pub(crate) fn vertex(&self, vertex: u8) -> Vec3 {
         let lane = |axis: usize| {
             self.axes[axis].get(usize::from(vertex)).map_or(0.0, |&bytes| f32::from_le_bytes(bytes))
         };

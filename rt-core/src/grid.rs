@@ -108,6 +108,11 @@ pub struct ClusterRef {
     pub first: u32,
 }
 
+impl ClusterRef {
+    /// No cluster.
+    pub(crate) const NONE: Self = Self { offset: 0, vertices: 0, triangles: 0, first: 0 };
+}
+
 /// Where a cluster of spheres lies and how large it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SpheresRef {
@@ -174,6 +179,18 @@ impl BoxFrame {
     pub const fn new(cell: f32, slack: f32) -> Self {
         // A little more than the width, so that rounding leaves nothing of it out.
         Self { low: -slack, step: (cell * 4.0 + slack * 2.0) * ((1.0 + 1.0e-6) / 256.0) }
+    }
+
+    /// Where coordinate 0 lies.
+    #[inline]
+    pub(crate) const fn low(&self) -> f32 {
+        self.low
+    }
+
+    /// Length of a step.
+    #[inline]
+    pub(crate) const fn step(&self) -> f32 {
+        self.step
     }
 
     /// Lowest and highest corner of a stored box, from the branch's corner; off by the rounding of a product

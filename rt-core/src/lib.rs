@@ -54,6 +54,7 @@ extern crate std;
 compile_error!("a scene image is little-endian and read in place; big-endian targets are not supported");
 
 mod beam;
+mod blocks;
 pub mod brute;
 pub mod camera;
 pub mod cluster;

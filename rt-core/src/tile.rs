@@ -3,6 +3,7 @@
 use glam::Vec3;
 
 use crate::beam;
+use crate::blocks::{BLOCKS, ByBlock, block_and_lane};
 use crate::count::{Count, TileCounts};
 use crate::frame::Frame;
 use crate::grid_ray::GridRay;
@@ -11,11 +12,12 @@ use crate::kinds::{ForKinds, Kinds, dispatch};
 use crate::memory::SceneMemory;
 use crate::scale::Scale;
 use crate::shade::{self, LitPoint};
+use crate::simd::LANES;
 use crate::view::{Damaged, SceneView};
 use crate::walk::walk;
 
 /// Edge of a tile in pixels; tiles at the right and lower edge of a picture may be smaller.
-pub const TILE_SIZE: u32 = 16;
+pub const TILE_SIZE: u32 = 32;
 
 /// Number of a tile, row by row from the upper left.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -87,7 +89,7 @@ impl Tile {
 /// Draws one tile: a grey byte per pixel, row by row, into `pixels`.
 ///
 /// Each pixel is one ray from the eye, flat shading, and a hard shadow of the point light. The bytes depend
-/// on the scene and the frame alone, not on the kernel. Beams take some 60 KB of stack. They know triangles only: a
+/// on the scene and the frame alone, not on the kernel. Beams take some 200 KB of stack. They know triangles only: a
 /// scene with spheres is drawn by rays.
 ///
 /// # Edge cases
@@ -178,21 +180,21 @@ impl<'a, M: SceneMemory> TileView<'a, M> {
     }
 }
 
-/// Depths of the pixels of a tile in grid units, by block of 4x4 pixels; 0 where nothing is hit.
-pub(crate) struct Depths([[f32; 16]; 16]);
+/// Depths of the pixels of a tile in grid units; 0 where nothing is hit.
+pub(crate) struct Depths(ByBlock<f32>);
 
 impl Depths {
     pub(crate) const fn new() -> Self {
-        Self([[0.0; 16]; 16])
+        Self([[0.0; LANES]; BLOCKS])
     }
 
-    pub(crate) const fn block(&mut self, block: usize) -> &mut [f32; 16] {
+    pub(crate) const fn block(&mut self, block: usize) -> &mut [f32; LANES] {
         &mut self.0[block]
     }
 
     /// Sum of all depths, in world units; always added in the same order.
     pub(crate) fn sum(&self, world_from_grid: Scale) -> f64 {
-        let mut sums = [0.0; 16];
+        let mut sums = [0.0; LANES];
         for block in &self.0 {
             for (sum, &t) in sums.iter_mut().zip(block) {
                 *sum += f64::from(world_from_grid.apply(t));
@@ -223,7 +225,8 @@ impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
         let nearest = walk::<M, C, K, false>(scene, &ray, self.work)?;
         let Some(hit) = ray.hit::<K>(&nearest) else { return Ok(shade::BACKGROUND) };
         self.counts.hits += 1;
-        self.depths.block(y / 4 * 4 + x / 4)[y % 4 * 4 + x % 4] = hit.t;
+        let (block, lane) = block_and_lane(x, y);
+        self.depths.block(block)[lane] = hit.t;
         let at = eye + direction * hit.t;
         match LitPoint::new(at, hit.normal, direction, light, shadow_offset) {
             Some(point) if !self.view.frame.has_shadows() || self.reaches_light::<K>(&point)? => {

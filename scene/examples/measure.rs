@@ -125,7 +125,7 @@ fn print_rays(radius: f32, counts: &TileCounts, work: &WorkCounts, whole: (f64, 
     );
     let per_ray = |count: u64| count as f64 / rays;
     println!(
-        "  per ray: {:.2} branches, {:.2} leaves, {:.2} clusters, {:.1} triangles, {:.1} spheres",
+        "  per ray: {:.4} branches, {:.4} leaves, {:.4} clusters, {:.2} triangles, {:.1} spheres",
         per_ray(work.branches),
         per_ray(work.leaves),
         per_ray(work.clusters),

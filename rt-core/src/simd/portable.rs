@@ -5,7 +5,7 @@
     reason = "conversions are what is asked for; indices are masked"
 )]
 
-use super::{LANES, Mask, Part, Simd};
+use super::{LANES, Mask, Part, Simd, low_bits};
 
 /// Plain arrays.
 #[derive(Clone, Copy)]
@@ -119,9 +119,25 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
-    fn lookup(self, table: &[[f32; LANES]; 2], index: Self::I) -> Self::F {
+    fn gather<const N: usize>(self, table: &[f32; N], index: Self::I) -> Self::F {
+        index.map(|index| table[(index & const { low_bits(N) }) as usize])
+    }
+
+    #[inline(always)]
+    fn pick_of_two(self, table: [Self::F; 2], index: Self::I) -> Self::F {
         let table = table.as_flattened();
         index.map(|index| table[(index & 31) as usize])
+    }
+
+    #[inline(always)]
+    fn store_packed(self, mask: Mask, value: Self::F, to: &mut [f32; LANES]) {
+        let mut count = 0;
+        for (lane, value) in value.into_iter().enumerate() {
+            to[count] = value;
+            count += usize::from(mask >> lane & 1);
+            // Only a full mask gets to the end, and only with the last lane.
+            count = count.min(LANES - 1);
+        }
     }
 
     #[inline(always)]
@@ -147,8 +163,8 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
-    fn sub_int(self, a: Self::I, b: Self::I) -> Self::I {
-        map(a, b, i32::wrapping_sub)
+    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I {
+        a.map(|a| a >> BITS)
     }
 
     #[inline(always)]
