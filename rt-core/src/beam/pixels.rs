@@ -377,14 +377,14 @@ impl<S: Simd> Targets<S> for Pixels<'_> {
         }
     }
 
-    fn test_by_rays(&mut self, _: S, cluster: &Cluster<'_>) {
+    fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>) {
         for block in 0..LANES {
             for lane in 0..LANES {
                 if self.present[block] >> lane & 1 == 0 {
                     continue;
                 }
                 let mut nearest = Nearest::none(f32::INFINITY);
-                cluster.intersect::<false>(&self.ray(block, lane), &mut nearest, &mut ());
+                cluster.intersect::<S, false>(s, &self.ray(block, lane), &mut nearest);
                 if let Some((primitive, Surface::Triangle(corners))) = nearest.surface {
                     self.decide_by_ray((block, lane), &Winner { corners, primitive });
                 }

@@ -351,7 +351,7 @@ impl<S: Simd> Targets<S> for Samples<'_> {
                 let lane = open.trailing_zeros() as usize;
                 open &= open - 1;
                 let mut nearest = Nearest::none(1.0);
-                cluster.intersect::<true>(&self.ray(group, lane), &mut nearest, &mut ());
+                cluster.intersect::<S, true>(s, &self.ray(group, lane), &mut nearest);
                 if nearest.surface.is_some() {
                     self.close(s, group, 1 << lane);
                 }

@@ -159,7 +159,7 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
                 }
                 visit = self.enter(child, corner, visit.cell * 0.25, farthest)?;
             } else {
-                visit.left &= !flip_cells(visit.branch.run_of(cell), flip);
+                visit.left &= !flip_cells(visit.branch.cells_of_run(cell), flip);
                 self.visit_run(&visit, cell)?;
                 farthest = self.targets.depths(self.s).farthest;
                 if farthest < 0.0 {
