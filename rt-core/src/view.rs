@@ -11,6 +11,7 @@ use crate::grid_ray::GridRay;
 use crate::image::{HEADER_BYTES, Header, HeaderError};
 use crate::kinds::{ForKinds, Kinds, dispatch};
 use crate::memory::SceneMemory;
+use crate::needs::SceneNeeds;
 use crate::ray::{Hit, Primitive, Ray};
 use crate::simd::{Lanes, Simd, Task};
 use crate::triangle_test::TriangleTest;
@@ -64,6 +65,13 @@ impl<M: SceneMemory> SceneView<M> {
     #[must_use]
     pub fn with_lanes(self, lanes: Lanes) -> Self {
         Self { lanes, ..self }
+    }
+
+    /// The same scene as if it needed `more` as well: kernels then look for what is not there. The answers are the
+    /// same; to measure what leaving out is worth.
+    #[must_use]
+    pub fn with_needs(self, more: SceneNeeds) -> Self {
+        Self { header: Header { needs: self.header.needs.with(more), ..self.header }, ..self }
     }
 
     /// The lanes that rays are traced with.
