@@ -13,6 +13,8 @@ use crate::grid::{ClusterRef, TRIANGLES_MAX, VERTICES_MAX};
 use crate::ray::Primitive;
 use crate::simd::{LANES, Mask, Part, Simd, each, first_lanes};
 use crate::surface::Surface;
+use crate::triangle_moller::MollerRay;
+use crate::triangle_test::TriangleTest;
 use crate::triangle_woop::{Crossing, Sheared, WoopRay, cross_at};
 
 /// The nearest hit so far; starts as a miss at `t_max`.
@@ -150,6 +152,41 @@ impl<'a> Cluster<'a> {
         s.apart(Intersect::<F, ANY> { cluster: self, ray, nearest, filter });
     }
 
+    /// As [`intersect_filtered`](Self::intersect_filtered), by the test of Möller and Trumbore.
+    #[inline(always)]
+    pub(crate) fn intersect_moller<S: Simd, F: Filter, const ANY: bool>(
+        &self,
+        s: S,
+        ray: &MollerRay,
+        nearest: &mut Nearest,
+        filter: &mut F,
+    ) {
+        s.apart(IntersectMoller::<F, ANY> { cluster: self, ray, nearest, filter });
+    }
+
+    /// The corners of sixteen triangles from `first` on, each by axis.
+    #[inline(always)]
+    fn corners_in_lanes<S: Simd>(&self, s: S, axes: &[[[f32; LANES]; 2]; 3], first: usize) -> [[S::F; 3]; 3] {
+        let t4 = quads(self.place.triangles);
+        let count = (t4 - first).min(LANES);
+        each!(3: [first, first + t4, first + 2 * t4], first => {
+            let index = s.bytes(&self.corners[first..][..count]);
+            [s.lookup(&axes[0], index), s.lookup(&axes[1], index), s.lookup(&axes[2], index)]
+        })
+    }
+
+    /// The vertices' coordinates by axis, in the lanes of their indices; lanes beyond are 0.
+    #[inline(always)]
+    fn axes_in_lanes<S: Simd>(&self, s: S) -> [[[f32; LANES]; 2]; 3] {
+        let mut lanes = [[[0.0; LANES]; 2]; 3];
+        for (axis, lanes) in self.axes().iter().zip(&mut lanes) {
+            for (from, lanes) in axis.chunks(LANES).zip(lanes) {
+                s.store(s.load_le(from), lanes);
+            }
+        }
+        lanes
+    }
+
     /// Shears all vertices; exactly as [`WoopRay::shear`] does.
     #[inline(always)]
     fn shear<S: Simd>(&self, s: S, ray: &WoopRay) -> ShearedCluster {
@@ -217,6 +254,44 @@ impl<S: Simd, F: Filter, const ANY: bool> Part<S> for Intersect<'_, F, ANY> {
                 let Some(crossing) = cross_at(a, b, c, nearest.crossing.t) else { continue };
                 let primitive = cluster.primitive(index);
                 let surface = Surface::Triangle(cluster.triangle(index));
+                if filter.accepts(&crossing, primitive, &surface) {
+                    nearest.offer(crossing, primitive, surface);
+                    if ANY {
+                        return;
+                    }
+                }
+            }
+            first += LANES;
+        }
+    }
+}
+
+/// A cluster to be tested by [`MollerRay`], as a function of its own.
+struct IntersectMoller<'a, F, const ANY: bool> {
+    cluster: &'a Cluster<'a>,
+    ray: &'a MollerRay,
+    nearest: &'a mut Nearest,
+    filter: &'a mut F,
+}
+
+impl<S: Simd, F: Filter, const ANY: bool> Part<S> for IntersectMoller<'_, F, ANY> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self, s: S) {
+        let Self { cluster, ray, nearest, filter } = self;
+        let axes = cluster.axes_in_lanes(s);
+        let triangles = usize::from(cluster.place.triangles);
+        let mut first = 0;
+        while first < triangles {
+            let corners = cluster.corners_in_lanes(s, &axes, first);
+            let mut candidates = ray.candidates(s, corners) & first_lanes(triangles - first);
+            while candidates != 0 {
+                let index = first + candidates.trailing_zeros() as usize;
+                candidates &= candidates - 1;
+                let corners = cluster.triangle(index);
+                let Some(crossing) = ray.intersect(corners, nearest.crossing.t) else { continue };
+                let (primitive, surface) = (cluster.primitive(index), Surface::Triangle(corners));
                 if filter.accepts(&crossing, primitive, &surface) {
                     nearest.offer(crossing, primitive, surface);
                     if ANY {

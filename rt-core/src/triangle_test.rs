@@ -3,7 +3,7 @@
 //! | variant | in | shared edges | what it is for |
 //! |---|---|---|---|
 //! | [`WoopRay`] | `f32`, decided in `f64` | watertight | the default |
-//! | [`MollerRay`](crate::triangle_moller::MollerRay) | `f32` | leak | comparison with renderers that use it |
+//! | [`MollerRay`] | `f32` | leak | comparison with renderers that use it |
 //! | [`F64Ray`](crate::triangle_f64::F64Ray) | `f64` | watertight | the reference of tests |
 //!
 //! The kernel is compiled once for each variant in use; the default pays nothing for the others.
@@ -18,6 +18,7 @@ use crate::filter::Filter;
 use crate::grid_ray::GridRay;
 use crate::memory::SceneMemory;
 use crate::ray::{Hit, Ray};
+use crate::triangle_moller::MollerRay;
 use crate::triangle_woop::{Crossing, WoopRay};
 use crate::view::{Damaged, SceneView};
 
@@ -81,6 +82,8 @@ impl TriangleTest for WoopRay {
 pub enum InLanes<'a> {
     /// Sixteen at a time by the default test.
     Woop(&'a WoopRay),
+    /// Sixteen at a time by the test of Möller and Trumbore.
+    Moller(&'a MollerRay),
     /// One triangle after the other.
     OneByOne,
 }

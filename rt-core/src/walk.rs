@@ -251,6 +251,9 @@ impl<S: Simd, M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, S, 
             InLanes::Woop(ray) => {
                 cluster.intersect_filtered::<S, F, ANY>(self.s, ray, &mut self.nearest, self.filter);
             }
+            InLanes::Moller(ray) => {
+                cluster.intersect_moller::<S, F, ANY>(self.s, ray, &mut self.nearest, self.filter);
+            }
             InLanes::OneByOne => {
                 self.test.intersect_cluster::<ANY>(&cluster, &mut self.nearest, self.filter);
             }
