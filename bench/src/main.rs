@@ -9,6 +9,7 @@
 //! | [`table1`] | hits and misses, as in the paper's Table 1 |
 //! | [`scaling`] | frame rate over nodes and memory |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
+//! | [`left_out`] | what a scene does not need |
 //! | [`findings`], [`table`], [`plot`], [`spread`] | what an experiment gives back, and how it is shown |
 //! | [`quiet`] | telling quiet rounds from those in which other programs wanted the machine |
 //! | [`distance`] | how far apart the cores are at the moment |
@@ -25,6 +26,7 @@ mod distance;
 mod embree;
 mod experiment;
 mod findings;
+mod left_out;
 mod machine;
 mod memory;
 mod owner;

@@ -116,7 +116,7 @@ struct Cluster {
     /// Which page leaves for another: random, fifo or clock
     #[arg(long, value_name = "NAME", default_value_t = PolicyKind::Random)]
     policy: PolicyKind,
-    /// How tiles are drawn: auto, avx512, avx2, portable (beams with these instructions), or rays; all draw the same
+    /// How tiles are drawn: auto, avx512, avx2, portable (beams with these instructions), rays, or rays-avx2 and so on; all draw the same
     #[arg(long, value_name = "NAME", default_value = "auto", value_parser = kernel)]
     kernel: ChosenKernel,
     /// How pages travel between the processes

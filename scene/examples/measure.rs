@@ -186,7 +186,7 @@ impl Options {
         let mut options = Self {
             mesh: None,
             radii: vec![1.5, 0.75],
-            kernels: vec![Kernel::fastest(), Kernel::Rays],
+            kernels: vec![Kernel::fastest(), Kernel::rays()],
             elevation: 0.0,
             frame: 0,
             size: 512,

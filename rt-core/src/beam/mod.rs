@@ -179,7 +179,7 @@ impl Lit {
         };
         let shadowed = match shadowed {
             Some(shadowed) => shadowed,
-            None => by_rays(&self.points, view, work)?,
+            None => by_rays(s, &self.points, view, work)?,
         };
         let (mut index, mut count) = (0, 0);
         for (grey, &facing) in self.grey.iter_mut().zip(&self.facing) {
@@ -215,7 +215,9 @@ fn by_beam<S: Simd, M: SceneMemory, C: Count>(
     Ok(Some(shadows.samples.shadowed))
 }
 
-fn by_rays<M: SceneMemory, C: Count>(
+#[inline(always)]
+fn by_rays<S: Simd, M: SceneMemory, C: Count>(
+    s: S,
     points: &Points,
     view: &TileView<'_, M>,
     work: &mut C,
@@ -225,7 +227,8 @@ fn by_rays<M: SceneMemory, C: Count>(
         let point = points.get(index);
         let ray = GridRay::new(point, view.light - point, 1.0, Scale::ONE, &view.scene.header().grid);
         if let Some(ray) = ray {
-            *shadowed = walk_by_ray::<M, C, OnlyTriangles, true>(view.scene, &ray, work)?.surface.is_some();
+            *shadowed =
+                walk_by_ray::<S, M, C, OnlyTriangles, true>(s, view.scene, &ray, work)?.surface.is_some();
         }
     }
     Ok(shadowed)

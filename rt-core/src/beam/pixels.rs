@@ -263,7 +263,7 @@ impl<S: Simd, M: SceneMemory> Targets<S> for Pixels<'_, M> {
         self.test_triangles(s, triangles);
     }
 
-    fn test_by_rays(&mut self, _: S, cluster: &Cluster<'_>) {
+    fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>) {
         self.begin(cluster.place());
         for block in 0..BLOCKS {
             for lane in 0..LANES {
@@ -271,7 +271,7 @@ impl<S: Simd, M: SceneMemory> Targets<S> for Pixels<'_, M> {
                     continue;
                 }
                 let mut nearest = Nearest::none(f32::INFINITY);
-                cluster.intersect::<false>(&self.ray(block, lane), &mut nearest, &mut ());
+                cluster.intersect::<S, false>(s, &self.ray(block, lane), &mut nearest);
                 if let Some((primitive, _)) = nearest.surface {
                     let index = primitive.0.wrapping_sub(cluster.place().first);
                     self.decide((block, lane), cluster, Corners::of_triangle(cluster, index as usize));

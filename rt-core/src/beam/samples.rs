@@ -204,7 +204,7 @@ impl Samples<'_> {
                 let lane = open.trailing_zeros() as usize;
                 open &= open - 1;
                 let mut nearest = Nearest::none(1.0);
-                cluster.intersect::<true>(&self.ray((group, lane)), &mut nearest, &mut ());
+                cluster.intersect::<S, true>(s, &self.ray((group, lane)), &mut nearest);
                 if nearest.surface.is_some() {
                     self.close(s, (group, lane));
                 }

@@ -52,8 +52,7 @@ impl Corners {
 
     /// The name of a triangle by its place in the cluster.
     pub(super) fn of_triangle(cluster: &Cluster<'_>, index: usize) -> Self {
-        let [a, b, c] =
-            cluster.corners().map(|corners| corners.get(index).map_or(0, |&at| u32::from(at % 32)));
+        let [a, b, c] = cluster.vertices_of(index).map(|vertex| u32::from(vertex % 32));
         Self(a | b << 5 | c << 10)
     }
 

@@ -156,7 +156,7 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
         let mut runs = entered & !branch.inner;
         while runs != 0 {
             let cell = runs.trailing_zeros();
-            runs &= !branch.run_of(cell) & (runs - 1);
+            runs &= !branch.cells_of_run(cell) & (runs - 1);
             self.gather(branch.leaf_of(cell).ok_or(Damaged::Leaf(u32::MAX))?)?;
         }
         self.sift()?;

@@ -5,6 +5,8 @@
     reason = "conversions are what is asked for; indices are masked"
 )]
 
+use glam::{BVec4A, Vec4};
+
 use super::{LANES, Mask, Part, Simd, low_bits};
 
 /// Plain arrays.
@@ -21,9 +23,13 @@ fn map<A: Copy, B: Copy, R>(a: [A; LANES], b: [B; LANES], of: impl Fn(A, B) -> R
     core::array::from_fn(|lane| of(a[lane], b[lane]))
 }
 
+/// What `of` says of four lanes at a time, as a mask. Four are what every processor compares at once.
 #[inline(always)]
-fn mask<A: Copy, B: Copy>(a: [A; LANES], b: [B; LANES], of: impl Fn(A, B) -> bool) -> Mask {
-    (0..LANES).fold(0, |mask, lane| mask | Mask::from(of(a[lane], b[lane])) << lane)
+fn mask(a: [f32; LANES], b: [f32; LANES], of: impl Fn(Vec4, Vec4) -> BVec4A) -> Mask {
+    let four = |lanes: &[f32; LANES], first: usize| Vec4::from_slice(&lanes[first..first + 4]);
+    [0, 4, 8, 12]
+        .into_iter()
+        .fold(0, |mask, first| mask | (of(four(&a, first), four(&b, first)).bitmask() as Mask) << first)
 }
 
 impl Simd for Portable {
@@ -100,12 +106,12 @@ impl Simd for Portable {
 
     #[inline(always)]
     fn lt(self, a: Self::F, b: Self::F) -> Mask {
-        mask(a, b, |a, b| a < b)
+        mask(a, b, Vec4::cmplt)
     }
 
     #[inline(always)]
     fn le(self, a: Self::F, b: Self::F) -> Mask {
-        mask(a, b, |a, b| a <= b)
+        mask(a, b, Vec4::cmple)
     }
 
     #[inline(always)]
@@ -204,6 +210,6 @@ impl Simd for Portable {
 
     #[inline(always)]
     fn is_zero_f64(self, a: Self::D) -> Mask {
-        mask(a, a, |a, _| a == 0.0)
+        (0..LANES).fold(0, |mask, lane| mask | Mask::from(a[lane] == 0.0) << lane)
     }
 }
