@@ -163,6 +163,12 @@ impl<'s, R: Replacement> Node<'s, R> {
         })
     }
 
+    /// Gives the lent storage back, for a node that takes this one's place.
+    #[must_use]
+    pub fn into_storage(self) -> Storage<'s> {
+        self.table.into_storage()
+    }
+
     /// A thread touched `page`, which was not mapped for it. It can be reached through `port`.
     pub fn handle_fault(&mut self, now: Instant, page: PageId, port: PortId) -> Fault {
         self.stats.faults += 1;

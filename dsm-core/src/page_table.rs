@@ -76,6 +76,12 @@ impl<'s> PageTable<'s> {
         Ok(Self { pages, slots, free_head, free_count: slot_count, leaving_count: 0, resident_count: 0 })
     }
 
+    /// Gives the lent storage back. What is in it means nothing any more.
+    #[must_use]
+    pub fn into_storage(self) -> Storage<'s> {
+        Storage { pages: self.pages, slots: self.slots }
+    }
+
     /// Moves `page` along the transition table and keeps the slots consistent with its new state.
     ///
     /// A fault on an absent page takes a free slot; the caller has made sure that there is one.
