@@ -1,0 +1,15 @@
+//! A paging cluster: `dsm-core`'s state machines, driven in virtual time.
+
+mod config;
+mod mapping;
+mod member;
+mod report;
+mod thread;
+mod workload;
+mod world;
+
+pub use config::{Config, ConfigError, Costs};
+pub use member::{Member, Packet, Task};
+pub use report::{Counts, NodeReport, Report};
+pub use workload::Workload;
+pub use world::{Memory, World};

@@ -1,0 +1,109 @@
+//! What goes wrong has the effect it is said to have, and nobody waits for ever.
+
+use dsm_core::id::NodeId;
+use dsm_core::replacement::PolicyKind;
+use dsm_sim::cluster::Ended;
+use dsm_sim::fault::Fault;
+use dsm_sim::paging::{Config, Memory, Report, World};
+use dsm_sim::time::{Moment, ms, us};
+
+const NODES: u16 = 8;
+const PAGES: u32 = 64;
+const TOUCHES: u64 = 16 * 100;
+
+fn at(milliseconds: u64) -> Moment {
+    Moment::from_ns(ms(milliseconds))
+}
+
+/// Eight nodes on a perfect network, on which these faults fall.
+fn with_faults(schedule: &[(Moment, Fault)], change: impl Fn(&mut Config)) -> Report {
+    let mut config = Config::new(NODES, PAGES).unwrap();
+    config.faults.schedule = schedule.to_vec();
+    config.think_ns = us(100);
+    change(&mut config);
+    let report = World::new(&mut Memory::new(config).unwrap(), PolicyKind::Random, 5).run();
+    assert_eq!(report.ended, Ended::Done);
+    report
+}
+
+fn cut_off(report: &Report) -> u64 {
+    report.nodes.iter().map(|node| node.traffic.cut_off).sum()
+}
+
+#[test]
+fn nothing_goes_wrong_where_nothing_is_to() {
+    let report = with_faults(&[], |_| ());
+    let total = report.total();
+    assert_eq!((total.touches, total.failed_touches, total.resends), (TOUCHES, 0, 0));
+    assert_eq!((report.lost_messages(), total.refused_messages, total.late_answers), (0, 0, 0));
+    assert_eq!(total.requests, total.granted_pages);
+}
+
+#[test]
+fn a_cut_holds_the_two_sides_up_until_it_heals() {
+    let apart = [0, 1, 2].map(NodeId).to_vec();
+    let schedule = [(at(2), Fault::Cut(apart)), (at(102), Fault::Heal)];
+    let report = with_faults(&schedule, |_| ());
+    assert!(cut_off(&report) > 0);
+    assert!(report.total().resends >= cut_off(&report) / 2);
+    assert_eq!((report.total().touches, report.total().failed_touches), (TOUCHES, 0));
+    assert!(report.latencies.max() > ms(50), "{}", report.latencies.max());
+}
+
+#[test]
+fn a_cut_that_outlasts_the_deadline_fails_pages_and_loses_no_waiter() {
+    let schedule = [(at(2), Fault::Cut(vec![NodeId(0)]))];
+    let report = with_faults(&schedule, |config| config.node.deadline_us = 20_000);
+    assert_eq!(report.total().touches, TOUCHES);
+    assert!(report.total().failed_touches > 0);
+    // Both sides go on with what they have, and the cut off node can have only its own pages.
+    assert!(report.nodes[0].counts.failed_touches > 100, "{report}");
+}
+
+#[test]
+fn a_crash_takes_what_the_node_had_under_way_and_a_restart_brings_it_back() {
+    let schedule = [(at(2), Fault::Crash(NodeId(3))), (at(32), Fault::Restart(NodeId(3)))];
+    let report = with_faults(&schedule, |_| ());
+    let node = report.nodes[3];
+    assert!(node.is_up && node.starts == 2 && node.traffic.unheard > 0, "{node:?}");
+    assert_eq!(report.total().failed_touches, 0, "its pages are back before the deadline");
+    // Its two threads were in the middle of a touch at most.
+    assert!((TOUCHES..=TOUCHES + 2).contains(&report.total().touches), "{report}");
+}
+
+#[test]
+fn a_node_that_stays_down_is_not_waited_for() {
+    let report = with_faults(&[(at(2), Fault::Crash(NodeId(3)))], |config| config.node.deadline_us = 20_000);
+    assert!(!report.nodes[3].is_up && report.nodes[3].counts.touches < 200);
+    let others = report.nodes.iter().filter(|node| node.is_up).map(|node| node.counts.touches);
+    assert_eq!(others.sum::<u64>(), TOUCHES - 200);
+}
+
+#[test]
+fn a_stalled_node_does_nothing_and_then_goes_on() {
+    let report = with_faults(&[(at(2), Fault::Stall { node: NodeId(3), ns: ms(40) })], |_| ());
+    assert_eq!((report.total().touches, report.total().failed_touches), (TOUCHES, 0));
+    assert!(report.at > at(42) && report.latencies.max() > ms(35), "{report}");
+}
+
+#[test]
+fn a_slow_node_takes_longer_for_all_it_does() {
+    let usual = with_faults(&[], |_| ());
+    let slow = with_faults(&[(Moment::ZERO, Fault::Slow { node: NodeId(3), percent: 1_000 })], |_| ());
+    assert_eq!(slow.total().touches, TOUCHES);
+    assert!(slow.at.as_ns() > 5 * usual.at.as_ns(), "{} {}", slow.at, usual.at);
+}
+
+#[test]
+fn a_clock_that_jumps_fails_pages_at_worst() {
+    for us in [-10_000_000, -1_000, 1_000, 10_000_000] {
+        let jumps: Vec<_> =
+            (1..10).map(|time| (at(time), Fault::ClockJump { node: NodeId(3), us })).collect();
+        let report = with_faults(&jumps, |config| {
+            config.network = config.network.clone().with_links(|link| link.loss_ppm = 50_000);
+        });
+        assert_eq!(report.total().touches, TOUCHES, "by {us}");
+        let failed = report.total().failed_touches;
+        assert!(failed == 0 || us > 1_000_000, "by {us}: {failed}");
+    }
+}
