@@ -9,6 +9,7 @@
 //! | [`table1`] | hits and misses, as in the paper's Table 1 |
 //! | [`scaling`] | frame rate over nodes and memory |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
+//! | [`sim`] | the simulator: events a second |
 //! | [`findings`], [`table`], [`plot`], [`spread`] | what an experiment gives back, and how it is shown |
 //! | [`quiet`] | telling quiet rounds from those in which other programs wanted the machine |
 //! | [`distance`] | how far apart the cores are at the moment |
@@ -31,6 +32,7 @@ mod owner;
 mod plot;
 mod quiet;
 mod scaling;
+mod sim;
 mod space;
 mod spread;
 mod table;
