@@ -5,7 +5,7 @@ use core::fmt;
 use dsm_core::id::{MAX_NODES, NodeId};
 use dsm_core::node;
 use dsm_core::placement::{PlacementError, Stripes};
-use dsm_core::wire::HEADER_BYTES;
+use dsm_core::wire::{HEADER_BYTES, fragment_bytes};
 
 use super::workload::Workload;
 use crate::cluster::Checks;
@@ -32,6 +32,8 @@ pub struct Config {
     pub slots: u32,
     /// What each node is told, but for its own number: placement, page length, times.
     pub node: node::Config,
+    /// Bytes of a page that one message can carry; 0: all. Longer pages come in fragments, if `node` takes them.
+    pub message_room: u32,
     /// How long work takes.
     pub costs: Costs,
     /// What lies between the nodes.
@@ -83,6 +85,8 @@ pub enum ConfigError {
     Placement(PlacementError),
     /// The state machine refuses its part.
     Node(node::ConfigError),
+    /// A page does not come in fragments so short, or `node` takes none.
+    MessageRoom(u32),
     /// The workload has no page to touch, or one that there is not.
     Workload,
     /// A fault is to strike a node that there is not.
@@ -121,12 +125,28 @@ impl Config {
             think_ns: us(10),
             slots: (pages / 8).max(1),
             node: node::Config::new(NodeId(0), placement, 16384),
+            message_room: 0,
             costs: Costs::MEASURED,
             network: Network::hundred_gigabit(),
             faults: Faults::default(),
             checks: if is_small { Checks::EveryStep } else { Checks::OneIn(1024) },
             until: Moment::NEVER,
         })
+    }
+
+    /// Requests that a node can have under way: one for each of its threads.
+    pub(super) fn requests(&self) -> usize {
+        usize::from(self.threads.max(1))
+    }
+
+    /// Bytes of a page that a message carries.
+    pub(super) fn fragment_bytes(&self) -> Result<u32, ConfigError> {
+        let (page_bytes, room) = (self.node.page_bytes, self.message_room);
+        match fragment_bytes(page_bytes, room) {
+            _ if room == 0 => Ok(page_bytes),
+            Some(bytes) if bytes == page_bytes || self.node.fragments => Ok(bytes),
+            _ => Err(ConfigError::MessageRoom(room)),
+        }
     }
 
     /// Says whether the parts fit together.
@@ -193,6 +213,12 @@ impl fmt::Display for ConfigError {
             }
             Self::Placement(error) => write!(f, "{error}"),
             Self::Node(error) => write!(f, "{error}"),
+            Self::MessageRoom(room) => {
+                write!(
+                    f,
+                    "pages cannot come in fragments of {room} bytes, or the nodes do not take fragments"
+                )
+            }
             Self::Workload => write!(f, "the workload touches no page, or one that there is not"),
             Self::Fault(node) => write!(f, "a fault is to strike {node}, which there is not"),
         }

@@ -1,7 +1,9 @@
 //! What the threads of a node see: the memory hardware, and the oracle that watches it.
 
-use dsm_core::id::{PageId, SlotId};
+use dsm_core::id::{NodeId, PageId, SlotId};
 use dsm_core::page_table::PageTable;
+use dsm_core::placement::Stripes;
+use dsm_core::wire::{FRAGMENTS_MAX, fragment_unit};
 
 use super::workload::contents_of;
 
@@ -16,11 +18,19 @@ use super::workload::contents_of;
 /// - `BOUNDED`: pages seen by readers are never more than slots.
 #[derive(Debug)]
 pub(super) struct Mapping {
-    /// A bit for each page that readers see.
-    visible: Vec<u64>,
+    /// The pages that the node holds itself, as home or as replica.
+    own: Bits,
+    /// The pages that readers see in slots.
+    visible: Bits,
     visible_count: u32,
     slots: Vec<Slot>,
+    /// What has come of the page of each slot, where pages come in parts.
+    parts: Vec<Parts>,
 }
+
+/// A bit for each page.
+#[derive(Debug)]
+struct Bits(Vec<u64>);
 
 /// What lies in a slot.
 #[derive(Clone, Copy, Debug)]
@@ -30,25 +40,74 @@ struct Slot {
     contents: u64,
 }
 
+/// Parts of a page, put aside until all are there.
+#[derive(Clone, Copy, Debug)]
+struct Parts {
+    page: PageId,
+    /// A bit for each unit that has come with the right contents.
+    units: [u64; FRAGMENTS_MAX as usize / 64],
+}
+
 impl Mapping {
-    pub(super) fn new(page_count: u32, slot_count: u32) -> Self {
-        let slot = Slot { page: PageId(u32::MAX), is_visible: false, contents: 0 };
+    /// Nothing in the slots; the pages that `me` holds are there.
+    pub(super) fn new(placement: &Stripes, me: NodeId, slot_count: u32, has_parts: bool) -> Self {
+        let slot = Slot { page: NO_PAGE, is_visible: false, contents: 0 };
+        let mut own = Bits::new(placement.page_count());
+        placement.held_stripes_of(me).flatten().for_each(|page| own.set(PageId(page), true));
         Self {
-            visible: vec![0; (page_count as usize).div_ceil(64)],
+            own,
+            visible: Bits::new(placement.page_count()),
             visible_count: 0,
             slots: vec![slot; slot_count as usize],
+            parts: vec![Parts::NONE; if has_parts { slot_count as usize } else { 0 }],
         }
     }
 
-    /// Forgets everything, as memory does.
+    /// Forgets everything but what the node holds itself.
     pub(super) fn clear(&mut self) {
-        self.visible.fill(0);
+        self.visible.0.fill(0);
         self.visible_count = 0;
         self.slots.iter_mut().for_each(|slot| slot.is_visible = false);
+        self.parts.fill(Parts::NONE);
     }
 
-    pub(super) fn is_visible(&self, page: PageId) -> bool {
-        self.visible[page.index() / 64] >> (page.0 % 64) & 1 == 1
+    /// Whether readers see the page, in a slot or because the node holds it itself.
+    pub(super) fn is_seen(&self, page: PageId) -> bool {
+        self.visible.has(page) || self.own.has(page)
+    }
+
+    /// Puts a part of a page aside.
+    pub(super) fn store(
+        &mut self,
+        page: PageId,
+        slot: SlotId,
+        offset: u32,
+        bytes: u32,
+        unit: u32,
+        contents: u64,
+    ) {
+        let parts = &mut self.parts[slot.index()];
+        if parts.page != page {
+            *parts = Parts { page, ..Parts::NONE };
+        }
+        if contents == contents_of(page) {
+            for number in offset / unit..(offset + bytes) / unit {
+                parts.units[number as usize / 64] |= 1 << (number % 64);
+            }
+        }
+    }
+
+    /// The contents of a page of which all parts are said to have been put aside.
+    pub(super) fn gather(&mut self, page: PageId, slot: SlotId, page_bytes: u32) -> u64 {
+        let parts = core::mem::replace(&mut self.parts[slot.index()], Parts::NONE);
+        let (units, come) =
+            (page_bytes / fragment_unit(page_bytes), parts.units.iter().map(|word| word.count_ones()));
+        let come: u32 = come.sum();
+        assert!(
+            parts.page == page && come == units,
+            "WHOLE_PAGE: {come} of {units} parts of {page} have come"
+        );
+        contents_of(page)
     }
 
     /// Fills a slot and shows its page to readers.
@@ -59,9 +118,9 @@ impl Mapping {
             "SLOT_HOLDS_ONE_PAGE: {page} fills {slot:?}, where readers see {}",
             place.page
         );
-        assert!(!self.is_visible(page), "SLOT_HOLDS_ONE_PAGE: {page} is seen in another slot already");
-        self.slots[slot.index()] = Slot { page, is_visible: true, contents };
-        self.visible[page.index() / 64] |= 1 << (page.0 % 64);
+        *place = Slot { page, is_visible: true, contents };
+        assert!(!self.is_seen(page), "SLOT_HOLDS_ONE_PAGE: {page} is seen elsewhere already");
+        self.visible.set(page, true);
         self.visible_count += 1;
         assert!(self.visible_count as usize <= self.slots.len(), "BOUNDED: {} pages", self.visible_count);
     }
@@ -71,12 +130,15 @@ impl Mapping {
         let place = &mut self.slots[slot.index()];
         assert!(place.is_visible && place.page == page, "a victim, {page}, is not in {slot:?}");
         place.is_visible = false;
-        self.visible[page.index() / 64] &= !(1 << (page.0 % 64));
+        self.visible.set(page, false);
         self.visible_count -= 1;
     }
 
     /// A thread reads a page that it sees.
     pub(super) fn read(&self, page: PageId, table: &PageTable<'_>) {
+        if self.own.has(page) {
+            return;
+        }
         let slot = table.slot(page).map(|slot| self.slots[slot.index()]);
         let is_right = slot
             .is_some_and(|slot| slot.is_visible && slot.page == page && slot.contents == contents_of(page));
@@ -85,7 +147,7 @@ impl Mapping {
 
     /// Checks that everything agrees with each other and with the table.
     pub(super) fn check_invariants(&self, table: &PageTable<'_>) {
-        let seen: u32 = self.visible.iter().map(|word| word.count_ones()).sum();
+        let seen: u32 = self.visible.0.iter().map(|word| word.count_ones()).sum();
         assert_eq!(seen, self.visible_count, "BOUNDED: pages that readers see are counted");
         let shown = self.slots.iter().filter(|slot| slot.is_visible);
         assert_eq!(shown.clone().count(), seen as usize, "SLOT_HOLDS_ONE_PAGE");
@@ -94,3 +156,24 @@ impl Mapping {
         }
     }
 }
+
+impl Bits {
+    fn new(page_count: u32) -> Self {
+        Self(vec![0; (page_count as usize).div_ceil(64)])
+    }
+
+    fn has(&self, page: PageId) -> bool {
+        self.0[page.index() / 64] >> (page.0 % 64) & 1 == 1
+    }
+
+    fn set(&mut self, page: PageId, value: bool) {
+        let word = &mut self.0[page.index() / 64];
+        *word = *word & !(1 << (page.0 % 64)) | u64::from(value) << (page.0 % 64);
+    }
+}
+
+impl Parts {
+    const NONE: Self = Self { page: NO_PAGE, units: [0; FRAGMENTS_MAX as usize / 64] };
+}
+
+const NO_PAGE: PageId = PageId(u32::MAX);

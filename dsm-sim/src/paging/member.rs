@@ -5,13 +5,13 @@
 use core::fmt;
 
 use dsm_core::home::{Answer, Home};
-use dsm_core::id::{NodeId, PageId, PortId, SlotId};
-use dsm_core::node::{Fault, Node, Output};
+use dsm_core::id::{Incarnation, NodeId, PageId, PortId, SlotId};
+use dsm_core::node::{Fault, Node, Output, PageBytes};
 use dsm_core::page_state::PageState;
 use dsm_core::replacement::Replacement;
 use dsm_core::stats::Histogram;
 use dsm_core::storage::Storage;
-use dsm_core::wire::{Body, HEADER_BYTES, Message};
+use dsm_core::wire::{Body, HEADER_BYTES, Message, fragment_unit};
 
 use super::config::{Config, MESSAGE_BYTES};
 use super::mapping::Mapping;
@@ -85,6 +85,8 @@ type Io<'a> = crate::cluster::Io<'a, Packet, Task>;
 #[derive(Debug)]
 pub(super) struct Shared {
     pub(super) config: Config,
+    /// Bytes of a page that a message carries at most.
+    pub(super) fragment_bytes: u32,
     pub(super) pattern: Pattern,
 }
 
@@ -102,8 +104,8 @@ pub struct Member<'s, R: Replacement> {
     /// Its memory while there is none.
     lent: Option<Storage<'s>>,
     home: Home,
-    /// The contents of the pages it owns, in the order of their home index.
-    owned: Vec<u64>,
+    /// The contents of the pages it holds, in the order of their held index.
+    held: Vec<u64>,
     mapping: Mapping,
     threads: Vec<Thread>,
     done_threads: usize,
@@ -138,8 +140,13 @@ impl<'s, R: Replacement> Member<'s, R> {
             node: None,
             lent: Some(lent),
             home: Home::new(me, node.cluster, node.epoch, node.placement, node.page_bytes),
-            owned: node.placement.stripes_of(me).flatten().map(|page| contents_of(PageId(page))).collect(),
-            mapping: Mapping::new(node.placement.page_count(), slots),
+            held: node
+                .placement
+                .held_stripes_of(me)
+                .flatten()
+                .map(|page| contents_of(PageId(page)))
+                .collect(),
+            mapping: Mapping::new(&node.placement, me, slots, node.fragments),
             threads: (0..threads).map(|thread| Thread::new(chance(thread))).collect(),
             done_threads: 0,
             timer_at: Moment::NEVER,
@@ -179,7 +186,7 @@ impl<'s, R: Replacement> Member<'s, R> {
         let page = self.shared.pattern.page(number, thread.touches, &mut thread.chance);
         (thread.page, thread.touched) = (page, io.now());
         self.past.touches += 1;
-        if self.sees(page) {
+        if self.mapping.is_seen(page) {
             self.read(page);
             self.think(io, index);
         } else {
@@ -188,16 +195,8 @@ impl<'s, R: Replacement> Member<'s, R> {
         }
     }
 
-    fn sees(&self, page: PageId) -> bool {
-        self.mapping.is_visible(page) || self.owns(page)
-    }
-
-    fn owns(&self, page: PageId) -> bool {
-        self.shared.config.node.placement.home(page) == Some(self.me)
-    }
-
     fn read(&self, page: PageId) {
-        if let Some(node) = self.node.as_ref().filter(|_| !self.owns(page)) {
+        if let Some(node) = &self.node {
             self.mapping.read(page, node.table());
         }
     }
@@ -243,7 +242,8 @@ impl<'s, R: Replacement> Member<'s, R> {
             }
             Fault::Ready => {
                 self.latencies.record(io.now().since(thread.touched));
-                assert!(self.sees(page), "RIGHT_PAGE: a thread was told to go on, and {page} is not there");
+                let is_seen = self.mapping.is_seen(page);
+                assert!(is_seen, "RIGHT_PAGE: a thread was told to go on, and {page} is not there");
                 self.read(page);
                 self.think(io, index);
             }
@@ -258,13 +258,23 @@ impl<'s, R: Replacement> Member<'s, R> {
     /// message it was given last.
     fn drain(&mut self, io: &mut Io<'_>, contents: u64) -> u32 {
         let costs = self.shared.config.costs;
+        let page_bytes = self.shared.config.node.page_bytes;
         let mut header = [0; HEADER_BYTES];
         let mut victims = 0;
         loop {
             let Some(node) = &mut self.node else { return victims };
             match node.poll(&mut header) {
                 Output::Transmit { to, .. } => io.send(to, MESSAGE_BYTES, Packet { header, contents: 0 }),
-                Output::Map { page, slot } => io.work(costs.fill_ns, Task::Filled { page, slot, contents }),
+                Output::Store { page, slot, offset, bytes } => {
+                    self.mapping.store(page, slot, offset, bytes, fragment_unit(page_bytes), contents);
+                }
+                Output::Map { page, slot, bytes } => {
+                    let contents = match bytes {
+                        PageBytes::InMessage => contents,
+                        PageBytes::Stored => self.mapping.gather(page, slot, page_bytes),
+                    };
+                    io.work(costs.fill_ns, Task::Filled { page, slot, contents });
+                }
                 Output::Unmap { page, slot } => {
                     victims += 1;
                     io.work(costs.unmap_ns * u64::from(victims), Task::Unmapped { page, slot });
@@ -342,17 +352,20 @@ impl<'s, R: Replacement> Member<'s, R> {
     }
 
     fn serve(&mut self, io: &mut Io<'_>, packet: Packet) {
-        let page_bytes = self.shared.config.node.page_bytes;
-        let (message, contents, bytes) = match self.home.handle_message(&packet.header) {
-            Ok(Answer::Grant { message, home_index }) => {
-                (message, self.owned[home_index as usize], MESSAGE_BYTES + page_bytes)
-            }
-            Ok(Answer::Refuse { message }) => (message, 0, MESSAGE_BYTES),
+        let (message, contents) = match self.home.handle_message(&packet.header) {
+            Ok(Answer::Grant { message, held_index }) => (message, self.held[held_index as usize]),
+            Ok(Answer::Refuse { message }) => (message, 0),
             Err(_) => return,
         };
-        let mut header = [0; HEADER_BYTES];
-        message.emit(&mut header);
-        io.send(message.to, bytes, Packet { header, contents });
+        for part in message.fragments(self.shared.fragment_bytes) {
+            let mut header = [0; HEADER_BYTES];
+            part.emit(&mut header);
+            let bytes = match part.body {
+                Body::Grant { bytes, .. } => bytes,
+                Body::Request { .. } | Body::Refusal(_) => 0,
+            };
+            io.send(part.to, MESSAGE_BYTES + bytes, Packet { header, contents });
+        }
     }
 }
 
@@ -362,7 +375,10 @@ impl<R: Replacement> Actor for Member<'_, R> {
 
     fn handle_start(&mut self, io: &mut Io<'_>) {
         let Some(lent) = self.lent.take() else { return };
-        let config = dsm_core::node::Config { me: self.me, ..self.shared.config.node };
+        let incarnation = Incarnation(io.incarnation() - 1);
+        let config = dsm_core::node::Config { me: self.me, incarnation, ..self.shared.config.node };
+        self.home = Home::new(self.me, config.cluster, config.epoch, config.placement, config.page_bytes)
+            .in_incarnation(incarnation);
         let policy = (self.make_policy)(self.me, self.policy_seed ^ u64::from(io.incarnation()));
         // The world has tried this configuration before it made its members.
         let Ok(node) = Node::new(config, lent, policy) else { return };
@@ -378,7 +394,7 @@ impl<R: Replacement> Actor for Member<'_, R> {
     }
 
     fn handle_message(&mut self, io: &mut Io<'_>, _from: NodeId, packet: Packet) {
-        if let Ok(Message { body: Body::Request, .. }) = Message::parse(&packet.header) {
+        if let Ok(Message { body: Body::Request { .. }, .. }) = Message::parse(&packet.header) {
             return self.queue_request(io, packet);
         }
         let Some(node) = &mut self.node else { return };
@@ -422,8 +438,6 @@ impl<R: Replacement> Actor for Member<'_, R> {
             self.past.add(&node.stats(), &self.home.stats());
             self.lent = Some(node.into_storage());
         }
-        let node = &self.shared.config.node;
-        self.home = Home::new(self.me, node.cluster, node.epoch, node.placement, node.page_bytes);
         self.mapping.clear();
         for thread in &mut self.threads {
             thread.wait += 1;

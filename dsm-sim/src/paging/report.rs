@@ -56,6 +56,12 @@ pub struct Counts {
     pub requests: u64,
     /// Requests sent again.
     pub resends: u64,
+    /// Requests that went on to another copy of their page.
+    pub failovers: u64,
+    /// Peers that were found to be dead.
+    pub dead_peers: u64,
+    /// Fragments of pages that came.
+    pub fragments: u64,
     /// Pages that came.
     pub fetched_pages: u64,
     /// Victims.
@@ -79,6 +85,9 @@ impl Counts {
             faults: node.faults,
             requests: node.requests,
             resends: node.resends,
+            failovers: node.failovers,
+            dead_peers: node.dead_peers,
+            fragments: node.fragments,
             fetched_pages: node.fetched_pages,
             evicted_pages: node.evicted_pages,
             failed_pages: node.failed_pages,
@@ -97,6 +106,9 @@ impl Counts {
             faults: self.faults + other.faults,
             requests: self.requests + other.requests,
             resends: self.resends + other.resends,
+            failovers: self.failovers + other.failovers,
+            dead_peers: self.dead_peers + other.dead_peers,
+            fragments: self.fragments + other.fragments,
             fetched_pages: self.fetched_pages + other.fetched_pages,
             evicted_pages: self.evicted_pages + other.evicted_pages,
             failed_pages: self.failed_pages + other.failed_pages,
@@ -175,11 +187,12 @@ fn write_row(
     let megabytes = |bytes: u64| bytes as f64 / 1e6;
     writeln!(
         f,
-        "{name:<10}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}{:>11.3}{:>11.3}{:>9}{}",
+        "{name:<10}{:>9}{:>9}{:>9}{:>9}{:>10}{:>9}{:>9}{:>9}{:>11.3}{:>11.3}{:>9}{}",
         counts.touches,
         counts.faults,
         counts.requests,
         counts.resends,
+        counts.failovers,
         counts.fetched_pages,
         counts.failed_touches,
         counts.granted_pages,
@@ -190,8 +203,7 @@ fn write_row(
     )
 }
 
-const HEADS: &str =
-    "           touches   faults requests  resends  fetched   failed  granted    MB sent     MB got     lost";
+const HEADS: &str = "           touches   faults requests  resends failovers  fetched   failed  granted    MB sent     MB got     lost";
 
 /// Nodes that are shown at most.
 const SHOWN_MAX: usize = 16;

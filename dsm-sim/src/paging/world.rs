@@ -8,7 +8,7 @@ use dsm_core::id::NodeId;
 use dsm_core::node::Node;
 use dsm_core::replacement::{Policy, PolicyKind, Replacement};
 use dsm_core::stats::Histogram;
-use dsm_core::storage::{PageEntry, SlotEntry, Storage};
+use dsm_core::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
 
 use super::config::{Config, ConfigError};
 use super::member::{MakePolicy, Member, Packet, Shared, Task};
@@ -24,6 +24,8 @@ pub struct Memory {
     shared: Shared,
     pages: Vec<PageEntry>,
     slots: Vec<SlotEntry>,
+    peers: Vec<PeerEntry>,
+    requests: Vec<RequestEntry>,
 }
 
 /// A paging cluster in virtual time.
@@ -48,7 +50,13 @@ impl Memory {
         let mut memory = Self {
             pages: vec![PageEntry::EMPTY; nodes * page_count as usize],
             slots: vec![SlotEntry::EMPTY; nodes * config.slots as usize],
-            shared: Shared { pattern: Pattern::new(config.workload.clone(), page_count, threads), config },
+            peers: vec![PeerEntry::EMPTY; nodes * usize::from(config.node.placement.owner_count())],
+            requests: vec![RequestEntry::EMPTY; nodes * config.requests()],
+            shared: Shared {
+                pattern: Pattern::new(config.workload.clone(), page_count, threads),
+                fragment_bytes: config.fragment_bytes()?,
+                config,
+            },
         };
         memory.try_every_node()?;
         Ok(memory)
@@ -67,12 +75,17 @@ impl Memory {
     /// What nodes share, and for each its own part.
     fn lend(&mut self) -> (&Shared, impl Iterator<Item = (NodeId, Storage<'_>)>) {
         let config = &self.shared.config;
-        let (page_count, slot_count) = (config.node.placement.page_count() as usize, config.slots as usize);
+        let placement = &config.node.placement;
+        let (page_count, slot_count) = (placement.page_count() as usize, config.slots as usize);
+        let (peer_count, request_count) = (usize::from(placement.owner_count()), config.requests());
         let (mut pages, mut slots) = (&mut self.pages[..], &mut self.slots[..]);
+        let (mut peers, mut requests) = (&mut self.peers[..], &mut self.requests[..]);
         let storages = (0..config.nodes).map(NodeId).map(move |node| {
             let storage = Storage {
                 pages: pages.split_off_mut(..page_count).unwrap_or_default(),
                 slots: slots.split_off_mut(..slot_count).unwrap_or_default(),
+                peers: peers.split_off_mut(..peer_count).unwrap_or_default(),
+                requests: requests.split_off_mut(..request_count).unwrap_or_default(),
             };
             (node, storage)
         });
