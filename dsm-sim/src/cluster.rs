@@ -42,6 +42,9 @@ pub trait Actor {
     /// The node stops; its tasks are gone already. It hears nothing until it is started again.
     fn handle_crash(&mut self);
 
+    /// Somebody who knows says that `peer` is dead. See [`Faults::tell_deaths_after_ns`].
+    fn handle_peer_down(&mut self, _io: &mut Io<'_, Self::Message, Self::Task>, _peer: NodeId) {}
+
     /// Whether it has done all that it is there for. The run ends when every node that is up, or will be, says so.
     fn is_done(&self) -> bool;
 
@@ -121,6 +124,8 @@ pub enum Happened<M, T> {
     },
     /// A task was done.
     Task(T),
+    /// The node was told that another is dead.
+    PeerDown(NodeId),
     /// A message or task waits for a busy card or for a stalled node.
     Held,
     /// A message or task came to nothing: cut off, no room, or the node is down or a new one.
@@ -198,6 +203,11 @@ enum What<M, T> {
         message: M,
     },
     Task(T),
+    /// The node is told that another, in that incarnation, is dead.
+    PeerDown {
+        peer: u16,
+        incarnation: u16,
+    },
     Fault(Strike),
 }
 
@@ -258,7 +268,7 @@ impl<A: Actor> Cluster<A> {
         let what = match event.what {
             What::Fault(strike) => self.strike(strike),
             What::Arrive { from, bytes, message } => self.arrive(event, NodeId(from), bytes, message),
-            What::Deliver { .. } | What::Task(_) => self.give(event),
+            What::Deliver { .. } | What::Task(_) | What::PeerDown { .. } => self.give(event),
         };
         self.check_if_due(node);
         Some(Step { number: self.core.steps, at, node, what })
@@ -344,6 +354,9 @@ impl<A: Actor> Cluster<A> {
             self.core.queue.push(station.stalled_until, event);
             return Happened::Held;
         }
+        if !self.is_current(event) {
+            return Happened::Lost;
+        }
         let actor = &mut self.actors[node.index()];
         let mut io = Io { me: node, core: &mut self.core };
         let happened = match event.what {
@@ -351,14 +364,30 @@ impl<A: Actor> Cluster<A> {
                 actor.handle_message(&mut io, NodeId(from), message);
                 Happened::Message { from: NodeId(from), message }
             }
-            What::Task(task) if event.incarnation == station.incarnation => {
+            What::Task(task) => {
                 actor.handle_task(&mut io, task);
                 Happened::Task(task)
             }
-            What::Task(_) | What::Arrive { .. } | What::Fault(_) => Happened::Lost,
+            What::PeerDown { peer, .. } => {
+                actor.handle_peer_down(&mut io, NodeId(peer));
+                Happened::PeerDown(NodeId(peer))
+            }
+            What::Arrive { .. } | What::Fault(_) => Happened::Lost,
         };
         self.note_if_busy(node, false);
         happened
+    }
+
+    /// Whether the node it is for, and the one it is about, are still those they were.
+    fn is_current(&self, event: Event<A::Message, A::Task>) -> bool {
+        match event.what {
+            What::Task(_) => self.core.stations[usize::from(event.node)].incarnation == event.incarnation,
+            What::PeerDown { peer, incarnation } => {
+                let peer = &self.core.stations[usize::from(peer)];
+                !peer.is_up && peer.incarnation == incarnation
+            }
+            What::Arrive { .. } | What::Deliver { .. } | What::Fault(_) => true,
+        }
     }
 
     fn check_if_due(&mut self, node: NodeId) {
@@ -489,7 +518,18 @@ impl<A: Actor> Cluster<A> {
         self.core.stations[node.index()].is_up = false;
         self.actors[node.index()].handle_crash();
         self.note_if_busy(node, comes_back);
+        self.tell_death(node);
         Happened::Crashed
+    }
+
+    /// Has the others told, if anybody tells them.
+    fn tell_death(&mut self, dead: NodeId) {
+        let Some(ns) = self.faults.tell_deaths_after_ns else { return };
+        let at = self.core.now.after(ns);
+        let what = What::PeerDown { peer: dead.0, incarnation: self.core.stations[dead.index()].incarnation };
+        for node in (0..).take(self.actors.len()).filter(|node| *node != dead.0) {
+            self.core.queue.push(at, Event { node, incarnation: 0, what });
+        }
     }
 
     fn start(&mut self, node: NodeId) {

@@ -46,6 +46,9 @@ pub struct Faults {
     pub schedule: Vec<(Moment, Fault)>,
     /// What happens by chance.
     pub chances: Chances,
+    /// How long after a crash the others are told of it, as the supervisor of processes on one machine does; `None`:
+    /// they have to find out by themselves.
+    pub tell_deaths_after_ns: Option<u64>,
 }
 
 /// What goes wrong by chance. The times between two of a kind are between 0 and twice their mean; a mean of 0 is never.

@@ -34,6 +34,8 @@ pub struct Config {
     pub node: node::Config,
     /// Bytes of a page that one message can carry; 0: all. Longer pages come in fragments, if `node` takes them.
     pub message_room: u32,
+    /// Grants, in a million, beside which a message strays in that looks like them and carries other bytes.
+    pub strays_ppm: u32,
     /// How long work takes.
     pub costs: Costs,
     /// What lies between the nodes.
@@ -126,6 +128,7 @@ impl Config {
             slots: (pages / 8).max(1),
             node: node::Config::new(NodeId(0), placement, 16384),
             message_room: 0,
+            strays_ppm: 0,
             costs: Costs::MEASURED,
             network: Network::hundred_gigabit(),
             faults: Faults::default(),

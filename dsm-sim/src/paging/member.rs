@@ -16,6 +16,7 @@ use dsm_core::wire::{Body, HEADER_BYTES, Message, fragment_unit};
 use super::config::{Config, MESSAGE_BYTES};
 use super::mapping::Mapping;
 use super::report::Counts;
+use super::stray::{POISON, stray_like};
 use super::thread::{Doing, Thread};
 use super::workload::{Pattern, contents_of};
 use crate::chance::Chance;
@@ -109,6 +110,8 @@ pub struct Member<'s, R: Replacement> {
     mapping: Mapping,
     threads: Vec<Thread>,
     done_threads: usize,
+    /// Decides which messages stray.
+    chance: Chance,
     timer_at: Moment,
     server_free: Moment,
     /// What earlier incarnations have counted.
@@ -127,9 +130,8 @@ impl<'s, R: Replacement> Member<'s, R> {
     ) -> Self {
         let config = &shared.config;
         let threads = if me.0 < config.renderers { config.threads } else { 0 };
-        let chance = |thread| {
-            Chance::new(seed, stream::ACTORS + u64::from(me.0) * u64::from(u8::MAX) + u64::from(thread))
-        };
+        let chance =
+            |thread| Chance::new(seed, stream::ACTORS + u64::from(me.0) * STREAMS + u64::from(thread));
         let node = &config.node;
         let slots = u32::try_from(lent.slots.len()).unwrap_or(u32::MAX);
         Self {
@@ -149,6 +151,7 @@ impl<'s, R: Replacement> Member<'s, R> {
             mapping: Mapping::new(&node.placement, me, slots, node.fragments),
             threads: (0..threads).map(|thread| Thread::new(chance(thread))).collect(),
             done_threads: 0,
+            chance: chance(u8::MAX),
             timer_at: Moment::NEVER,
             server_free: Moment::ZERO,
             past: Counts::default(),
@@ -230,9 +233,12 @@ impl<'s, R: Replacement> Member<'s, R> {
         thread.wait += 1;
         let wait = thread.wait;
         let victims = self.drain(io, 0);
+        let is_on_its_way = self.is_on_its_way(page);
         let thread = &mut self.threads[usize::from(index)];
         match answer {
-            Fault::Fetch => thread.doing = Doing::Fetching,
+            Fault::Fetch if is_on_its_way => thread.doing = Doing::Fetching,
+            // It has failed already: nobody who holds it is alive.
+            Fault::Fetch => self.fault(io, index, false),
             Fault::Wait => thread.doing = Doing::WaitingForPage,
             Fault::Full => {
                 thread.doing = if victims > 0 { Doing::Evicting } else { Doing::WaitingForSlot };
@@ -312,14 +318,16 @@ impl<'s, R: Replacement> Member<'s, R> {
     /// Threads that fetch look for themselves whether their page came or failed; nobody wakes them.
     fn look_after_fetchers(&mut self, io: &mut Io<'_>) {
         for index in (0..).take(self.threads.len()) {
-            let Some(node) = &self.node else { return };
             let Thread { doing, page, .. } = self.threads[usize::from(index)];
-            let is_on_its_way =
-                || matches!(node.table().state(page), Some(PageState::Requested | PageState::Filling));
-            if doing == Doing::Fetching && !is_on_its_way() {
+            if doing == Doing::Fetching && !self.is_on_its_way(page) {
                 self.fault(io, index, false);
             }
         }
+    }
+
+    fn is_on_its_way(&self, page: PageId) -> bool {
+        let state = self.node.as_ref().and_then(|node| node.table().state(page));
+        matches!(state, Some(PageState::Requested | PageState::Filling))
     }
 
     fn set_timer(&mut self, io: &mut Io<'_>, at: Moment) {
@@ -358,15 +366,32 @@ impl<'s, R: Replacement> Member<'s, R> {
             Err(_) => return,
         };
         for part in message.fragments(self.shared.fragment_bytes) {
-            let mut header = [0; HEADER_BYTES];
-            part.emit(&mut header);
-            let bytes = match part.body {
-                Body::Grant { bytes, .. } => bytes,
-                Body::Request { .. } | Body::Refusal(_) => 0,
-            };
-            io.send(part.to, MESSAGE_BYTES + bytes, Packet { header, contents });
+            self.let_stray(io, &part);
+            send(io, &part, contents);
         }
     }
+
+    /// By chance, sends a message that looks like this answer and must not be believed.
+    fn let_stray(&mut self, io: &mut Io<'_>, answer: &Message) {
+        let config = &self.shared.config;
+        if self.chance.happens(config.strays_ppm) {
+            let holds = |node| config.node.placement.holds(node, answer.page);
+            if let Some(stray) = stray_like(answer, config.nodes, holds, &mut self.chance) {
+                send(io, &stray, POISON);
+            }
+        }
+    }
+}
+
+/// Sends an answer, with what stands for the bytes behind it.
+fn send(io: &mut Io<'_>, message: &Message, contents: u64) {
+    let mut header = [0; HEADER_BYTES];
+    message.emit(&mut header);
+    let bytes = match message.body {
+        Body::Grant { bytes, .. } => bytes,
+        Body::Request { .. } | Body::Refusal(_) => 0,
+    };
+    io.send(message.to, MESSAGE_BYTES + bytes, Packet { header, contents });
 }
 
 impl<R: Replacement> Actor for Member<'_, R> {
@@ -444,6 +469,13 @@ impl<R: Replacement> Actor for Member<'_, R> {
         }
     }
 
+    fn handle_peer_down(&mut self, io: &mut Io<'_>, peer: NodeId) {
+        let Some(node) = &mut self.node else { return };
+        node.handle_peer_down(io.clock(), peer);
+        // What was asked of it is due now.
+        let _ = self.drain(io, 0);
+    }
+
     fn is_done(&self) -> bool {
         self.done_threads == self.threads.len()
     }
@@ -475,6 +507,9 @@ impl<R: Replacement> fmt::Debug for Member<'_, R> {
             .finish_non_exhaustive()
     }
 }
+
+/// Streams of chance for each node: one for each thread that there can be, and one for the node.
+const STREAMS: u64 = 256;
 
 /// What a wait may last beyond its deadline because work takes time.
 const SLACK_NS: u64 = us(100_000);

@@ -4,6 +4,7 @@ mod config;
 mod mapping;
 mod member;
 mod report;
+mod stray;
 mod thread;
 mod workload;
 mod world;
