@@ -1,6 +1,7 @@
 //! The state of every page, and the slots that pages lie in.
 
 use core::fmt;
+use core::hash::{Hash, Hasher};
 
 use crate::failure::Failure;
 use crate::id::{NodeId, PageId, SlotId};
@@ -108,6 +109,13 @@ impl<'s> PageTable<'s> {
     /// Gives the lent entries back. What is in them means nothing any more.
     pub(crate) fn into_entries(self) -> (&'s mut [PageEntry], &'s mut [SlotEntry]) {
         (self.pages, self.slots)
+    }
+
+    /// Feeds a hash with the state of every page and slot.
+    pub(crate) fn fingerprint(&self, hasher: &mut impl Hasher) {
+        self.pages.hash(hasher);
+        self.slots.hash(hasher);
+        self.lists.free_head.hash(hasher);
     }
 
     /// Moves `page` along the transition table and keeps the slots consistent with its new state.
