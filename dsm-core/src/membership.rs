@@ -166,6 +166,14 @@ impl<'s> Membership<'s> {
         }
     }
 
+    /// A part of a page that was missing came from `node`: what it sends gets through, so its timeouts are no longer doubled,
+    /// though nobody can tell which sending this was the answer to.
+    pub(crate) fn advanced(&mut self, node: NodeId) {
+        if let Some(peer) = self.peer_mut(node) {
+            peer.backoff = 0;
+        }
+    }
+
     /// A request is being sent to `node`.
     pub(crate) fn sent(&mut self, now: Instant, node: NodeId) {
         if let Some(peer) = self.peer_mut(node) {
@@ -332,6 +340,15 @@ mod tests {
             assert_eq!(membership.timeout_us(PEER), 80);
             membership.measured(PEER, 20);
             assert_eq!((membership.timeout_us(PEER), membership.round_trip_us(PEER)), (60, Some(20)));
+        });
+    }
+
+    #[test]
+    fn timeouts_no_longer_double_once_a_missing_part_comes() {
+        with_membership(|mut membership| {
+            (0..3).for_each(|backoff| membership.timed_out(at(0), PEER, backoff));
+            membership.advanced(PEER);
+            assert_eq!(membership.timeout_us(PEER), 10);
         });
     }
 
