@@ -1,9 +1,11 @@
 //! A paging cluster in virtual time, from the command line.
 
+use std::io::{self, Write};
 use std::process::ExitCode;
 
 use clap::{Parser, ValueEnum};
 use dsm_core::replacement::PolicyKind;
+use dsm_sim::cluster::Step;
 use dsm_sim::fault::Chances;
 use dsm_sim::network::Network;
 use dsm_sim::paging::{Config, ConfigError, Memory, Workload, World};
@@ -18,7 +20,8 @@ use dsm_sim::verify;
 Examples:
   cargo run --release -p dsm-sim --example cluster -- --nodes 64 --loss 10 --seed 7
   cargo run --release -p dsm-sim --example cluster -- --nodes 31 --stores 1 --network gigabit --workload zipf
-  cargo run --release -p dsm-sim --example cluster -- --nodes 64 --loss 10 --crashes 5 --restart-ms 3 --seeds 1000")]
+  cargo run --release -p dsm-sim --example cluster -- --nodes 64 --replicas 2 --loss 10 --crashes 20 --seeds 1000
+  cargo run --release -p dsm-sim --example cluster -- --nodes 2 --touches 20 --pages 16 --trace")]
 struct CommandLine {
     /// Nodes with threads
     #[arg(long, default_value_t = 16)]
@@ -35,6 +38,12 @@ struct CommandLine {
     /// Slots of a node; by default one for each eighth page
     #[arg(long)]
     slots: Option<u32>,
+    /// Copies of each page
+    #[arg(long, default_value_t = 1)]
+    replicas: u8,
+    /// Bytes of a page that one message carries; 0: all
+    #[arg(long, default_value_t = 0, value_name = "BYTES")]
+    message_room: u32,
     /// Pages that a thread touches
     #[arg(long, default_value_t = 1000)]
     touches: u32,
@@ -62,6 +71,9 @@ struct CommandLine {
     /// Decides all that chance decides
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// Print everything that happens instead of the report
+    #[arg(long)]
+    trace: bool,
     /// Run so many seeds, from --seed on, and print the first that fails
     #[arg(long, value_name = "COUNT")]
     seeds: Option<u64>,
@@ -101,6 +113,9 @@ impl CommandLine {
         config.threads = self.threads;
         config.touches = self.touches;
         config.slots = self.slots.unwrap_or(config.slots);
+        let placement = config.node.placement.with_replicas(self.replicas);
+        config.node.placement = placement.map_err(ConfigError::Placement)?;
+        (config.message_room, config.node.fragments) = (self.message_room, self.message_room > 0);
         config.workload = match self.workload {
             Touched::Uniform => Workload::Uniform,
             Touched::Zipf => Workload::Zipf { exponent: 1.0 },
@@ -124,6 +139,10 @@ impl CommandLine {
     }
 
     fn run(&self, mut memory: Memory) -> Result<(), String> {
+        if self.trace {
+            let mut world = World::new(&mut memory, self.policy, self.seed);
+            return print_trace(&mut world).or_else(no_reader).map_err(|error| error.to_string());
+        }
         let mut run = |seed| World::new(&mut memory, self.policy, seed).run();
         let Some(count) = self.seeds else {
             println!("{}", run(self.seed));
@@ -140,4 +159,18 @@ impl CommandLine {
         println!("{held} seeds held, {steps} events");
         Ok(())
     }
+}
+
+/// That nobody reads any more, as with `| head`, is no error.
+fn no_reader(error: io::Error) -> io::Result<()> {
+    if error.kind() == io::ErrorKind::BrokenPipe { Ok(()) } else { Err(error) }
+}
+
+/// Prints everything that happens in a world, a line each, for as long as somebody reads it.
+fn print_trace(world: &mut World<'_>) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    while let Some(Step { number, at, node, what }) = world.step() {
+        writeln!(out, "{number:9} {at} {node}: {what:?}")?;
+    }
+    Ok(())
 }

@@ -148,6 +148,8 @@ pub struct Cluster<A: Actor> {
     checks: Checks,
     until_check: u32,
     trace: Trace,
+    /// The step at which the moment began.
+    moment_began: u64,
     /// Nodes that are not done and are up or will be.
     busy: usize,
 }
@@ -236,7 +238,8 @@ impl<A: Actor> Cluster<A> {
         let wires = Wires::new(network, count, Chance::new(seed, stream::NETWORK));
         let core = Core { now: Moment::ZERO, steps: 0, queue: Queue::new(), wires, stations };
         let trace = Trace::default();
-        let mut cluster = Self { busy: 0, actors, core, faults, chance, checks, until_check: 1, trace };
+        let mut cluster =
+            Self { busy: 0, actors, core, faults, chance, checks, until_check: 1, trace, moment_began: 0 };
         cluster.plan_faults();
         for node in (0..count).map(NodeId) {
             cluster.start(node);
@@ -259,10 +262,13 @@ impl<A: Actor> Cluster<A> {
     }
 
     /// Lets the next thing happen, or returns `None` when nothing ever will.
+    ///
+    /// # Panics
+    /// When an invariant does not hold, and by the name of `TIME_MOVES_ON` when events follow each other for ever
+    /// without any time passing.
     pub fn step(&mut self) -> Option<Step<A::Message, A::Task>> {
         let (at, event) = self.core.queue.pop()?;
-        self.core.now = at;
-        self.core.steps += 1;
+        self.count_step(at);
         self.trace.record(&(at.as_ns(), event));
         let node = NodeId(event.node);
         let what = match event.what {
@@ -320,6 +326,15 @@ impl<A: Actor> Cluster<A> {
     /// How often a node has been started.
     pub fn starts(&self, node: NodeId) -> u16 {
         self.core.stations[node.index()].incarnation
+    }
+
+    fn count_step(&mut self, at: Moment) {
+        self.core.steps += 1;
+        if at > self.core.now {
+            (self.core.now, self.moment_began) = (at, self.core.steps);
+        }
+        let steps = self.core.steps - self.moment_began;
+        assert!(steps < STEPS_A_MOMENT_MAX, "TIME_MOVES_ON: {steps} events at {at}, and ever more follow");
     }
 
     fn arrive(
@@ -640,6 +655,9 @@ impl Station {
         }
     }
 }
+
+/// More events than this at one moment are a circle: each causes the next, and no time passes.
+const STEPS_A_MOMENT_MAX: u64 = 1 << 20;
 
 /// Clocks start up to this far apart: 12 days.
 const CLOCK_AHEAD_US_MAX: u64 = 1 << 40;

@@ -80,6 +80,61 @@ fn a_node_that_stays_down_is_not_waited_for() {
 }
 
 #[test]
+fn with_two_copies_any_node_may_die_at_any_moment() {
+    let (mut failovers, mut deaths) = (0, 0);
+    for (node, moment) in (0..NODES).flat_map(|node| (0..60).map(move |step| (node, us(100 * step)))) {
+        let schedule = [(Moment::from_ns(moment), Fault::Crash(NodeId(node)))];
+        let report = with_faults(&schedule, |config| {
+            config.node.placement = config.node.placement.with_replicas(2).unwrap();
+            config.touches = 30;
+        });
+        assert_eq!(
+            report.total().failed_touches,
+            0,
+            "node {node} dies after {} us: {report}",
+            moment / 1_000
+        );
+        failovers += report.total().failovers;
+        deaths += u64::from(!report.nodes[usize::from(node)].is_up);
+    }
+    assert!(failovers > deaths && deaths > 300, "{failovers} {deaths}");
+}
+
+#[test]
+fn with_one_copy_a_death_loses_its_pages_and_only_those() {
+    let report = with_faults(&[(Moment::ZERO, Fault::Crash(NodeId(3)))], |config| config.touches = 30);
+    let failed: Vec<u64> = report.nodes.iter().map(|node| node.counts.failed_pages).collect();
+    assert!(failed.iter().all(|failed| *failed <= u64::from(PAGES / u32::from(NODES))), "{failed:?}");
+    assert!(failed.iter().sum::<u64>() > 20, "{failed:?}");
+}
+
+#[test]
+fn a_death_that_is_told_costs_no_waiting() {
+    let told = |tell_deaths_after_ns| {
+        let schedule = [(at(1), Fault::Crash(NodeId(3)))];
+        with_faults(&schedule, |config| {
+            config.node.placement = config.node.placement.with_replicas(2).unwrap();
+            config.faults.tell_deaths_after_ns = tell_deaths_after_ns;
+        })
+    };
+    let (told, silent) = (told(Some(us(100))), told(None));
+    assert!(told.latencies.max() < us(300), "{}", told.latencies.max());
+    assert!(silent.latencies.max() > ms(1), "{}", silent.latencies.max());
+    assert_eq!(told.total().dead_peers, 7);
+}
+
+#[test]
+fn pages_come_in_fragments_that_get_lost() {
+    let report = with_faults(&[], |config| {
+        (config.node.fragments, config.message_room) = (true, 1_400);
+        config.network = config.network.clone().with_links(|link| link.loss_ppm = 50_000);
+    });
+    let total = report.total();
+    assert_eq!((total.touches, total.failed_touches), (TOUCHES, 0));
+    assert!(total.fragments >= 13 * total.fetched_pages, "{total:?}");
+}
+
+#[test]
 fn a_stalled_node_does_nothing_and_then_goes_on() {
     let report = with_faults(&[(at(2), Fault::Stall { node: NodeId(3), ns: ms(40) })], |_| ());
     assert_eq!((report.total().touches, report.total().failed_touches), (TOUCHES, 0));

@@ -24,7 +24,7 @@ use crate::cluster::{Actor, View, stream};
 use crate::time::{Moment, us};
 
 /// A message of the paging protocol, as it travels in a simulation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Packet {
     /// Its header, byte for byte.
     pub header: [u8; HEADER_BYTES],
@@ -423,11 +423,10 @@ impl<R: Replacement> Actor for Member<'_, R> {
             return self.queue_request(io, packet);
         }
         let Some(node) = &mut self.node else { return };
-        // What is refused is counted by the node and has no other effect.
-        if node.handle_message(io.clock(), &packet.header).is_ok() {
-            let _ = self.drain(io, packet.contents);
-            self.look_after_fetchers(io);
-        }
+        // What is refused is counted by the node. It may still be a sign of life that makes requests due.
+        let _ = node.handle_message(io.clock(), &packet.header);
+        let _ = self.drain(io, packet.contents);
+        self.look_after_fetchers(io);
     }
 
     fn handle_task(&mut self, io: &mut Io<'_>, task: Task) {
@@ -494,6 +493,16 @@ impl<R: Replacement> Actor for Member<'_, R> {
                 waited_ns / 1_000,
                 thread.page
             );
+        }
+    }
+}
+
+/// As the message that it is.
+impl fmt::Debug for Packet {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match Message::parse(&self.header) {
+            Ok(Message { page, request, body, .. }) => write!(f, "{body:?} of {page}, request {request}"),
+            Err(error) => write!(f, "{error}"),
         }
     }
 }
