@@ -1,10 +1,11 @@
 //! What goes wrong has the effect it is said to have, and nobody waits for ever.
 
-use dsm_core::id::NodeId;
+use dsm_core::id::{NodeId, PageId};
+use dsm_core::placement::Stripes;
 use dsm_core::replacement::PolicyKind;
 use dsm_sim::cluster::Ended;
 use dsm_sim::fault::Fault;
-use dsm_sim::paging::{Config, Memory, Report, World};
+use dsm_sim::paging::{Config, ConfigError, Memory, Report, Workload, World};
 use dsm_sim::time::{Moment, ms, us};
 
 const NODES: u16 = 8;
@@ -161,4 +162,39 @@ fn a_clock_that_jumps_fails_pages_at_worst() {
         let failed = report.total().failed_touches;
         assert!(failed == 0 || us > 1_000_000, "by {us}: {failed}");
     }
+}
+
+#[test]
+fn configurations_that_contradict_themselves_are_refused_in_one_line() {
+    let refused = |change: fn(&mut Config)| {
+        let mut config = Config::new(NODES, PAGES).unwrap();
+        change(&mut config);
+        let error = Memory::new(config).map(|_| ()).unwrap_err();
+        assert!(!error.to_string().contains('\n'));
+        error
+    };
+    let crash = |config: &mut Config| config.faults.schedule = vec![(at(1), Fault::Crash(NodeId(8)))];
+    assert_eq!(refused(crash), ConfigError::Fault(NodeId(8)));
+    assert_eq!(refused(|config| config.nodes = 0), ConfigError::Nodes(0));
+    assert_eq!(refused(|config| config.nodes = 5000), ConfigError::Nodes(5000));
+    assert_eq!(refused(|config| config.renderers = 9), ConfigError::Renderers { renderers: 9, nodes: 8 });
+    assert!(matches!(refused(|config| config.slots = 0), ConfigError::Node(_)));
+    assert_eq!(refused(|config| config.message_room = 1_400), ConfigError::MessageRoom(1_400));
+    let owner = |config: &mut Config| {
+        config.node.placement = Stripes::new(PAGES, 1, NodeId(4), 5).unwrap();
+    };
+    assert_eq!(refused(owner), ConfigError::Owner { owner: NodeId(8), nodes: 8 });
+    for workload in [
+        Workload::Trace(vec![]),
+        Workload::Trace(vec![vec![]]),
+        Workload::Trace(vec![vec![PageId(PAGES)]]),
+        Workload::Zipf { exponent: f64::NAN },
+        Workload::Zipf { exponent: 1e9 },
+        Workload::Window { pages: 0, touches_a_page: 1 },
+    ] {
+        let config = Config { workload, ..Config::new(NODES, PAGES).unwrap() };
+        assert_eq!(Memory::new(config).map(|_| ()).unwrap_err(), ConfigError::Workload);
+    }
+    assert_eq!(Config::new(0, PAGES).map(|_| ()), Err(ConfigError::Nodes(0)));
+    assert_eq!(Config::with_stores(u16::MAX, 1, PAGES).map(|_| ()), Err(ConfigError::Nodes(u16::MAX)));
 }

@@ -7,7 +7,7 @@ use dsm_core::node;
 use dsm_core::placement::{PlacementError, Stripes};
 use dsm_core::wire::{HEADER_BYTES, fragment_bytes};
 
-use super::workload::Workload;
+use super::workload::{EXPONENT_MAX, Workload};
 use crate::cluster::Checks;
 use crate::fault::{Fault, Faults};
 use crate::network::Network;
@@ -89,7 +89,7 @@ pub enum ConfigError {
     Node(node::ConfigError),
     /// A page does not come in fragments so short, or `node` takes none.
     MessageRoom(u32),
-    /// The workload has no page to touch, or one that there is not.
+    /// The workload has no page to touch, one that there is not, or an exponent that is too large.
     Workload,
     /// A fault is to strike a node that there is not.
     Fault(NodeId),
@@ -117,7 +117,7 @@ impl Config {
         let (first_owner, owners) = if stores == 0 { (0, renderers) } else { (renderers, stores) };
         let placement =
             Stripes::new(pages, 1, NodeId(first_owner), owners).map_err(ConfigError::Placement)?;
-        let is_small = u32::from(nodes) * pages <= SMALL;
+        let is_small = u64::from(nodes) * u64::from(pages) <= SMALL;
         Ok(Self {
             nodes,
             renderers,
@@ -171,7 +171,7 @@ impl Config {
         let pages = self.node.placement.page_count();
         let has_pages = match &self.workload {
             Workload::Uniform => true,
-            Workload::Zipf { exponent } => exponent.is_finite(),
+            Workload::Zipf { exponent } => (0.0..=EXPONENT_MAX).contains(exponent),
             Workload::Window { pages, .. } => *pages > 0,
             Workload::Trace(lists) => {
                 let is_good = |list: &Vec<_>| !list.is_empty();
@@ -222,7 +222,9 @@ impl fmt::Display for ConfigError {
                     "pages cannot come in fragments of {room} bytes, or the nodes do not take fragments"
                 )
             }
-            Self::Workload => write!(f, "the workload touches no page, or one that there is not"),
+            Self::Workload => {
+                write!(f, "the workload touches no page, one that there is not, or is too steep")
+            }
             Self::Fault(node) => write!(f, "a fault is to strike {node}, which there is not"),
         }
     }
@@ -231,7 +233,7 @@ impl fmt::Display for ConfigError {
 impl core::error::Error for ConfigError {}
 
 /// Nodes times pages up to which invariants are checked after every step.
-const SMALL: u32 = 1024;
+const SMALL: u64 = 1024;
 
 /// Bytes of a message that carries no page.
 #[expect(clippy::cast_possible_truncation, reason = "some dozens")]

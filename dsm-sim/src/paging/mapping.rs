@@ -1,7 +1,6 @@
 //! What the threads of a node see: the memory hardware, and the oracle that watches it.
 
 use dsm_core::id::{NodeId, PageId, SlotId};
-use dsm_core::page_table::PageTable;
 use dsm_core::placement::Stripes;
 use dsm_core::wire::{FRAGMENTS_MAX, fragment_unit};
 
@@ -134,25 +133,25 @@ impl Mapping {
         self.visible_count -= 1;
     }
 
-    /// A thread reads a page that it sees.
-    pub(super) fn read(&self, page: PageId, table: &PageTable<'_>) {
+    /// A thread reads a page that it sees, and that the state machine says is in `slot`.
+    pub(super) fn read(&self, page: PageId, slot: Option<SlotId>) {
         if self.own.has(page) {
             return;
         }
-        let slot = table.slot(page).map(|slot| self.slots[slot.index()]);
+        let slot = slot.map(|slot| self.slots[slot.index()]);
         let is_right = slot
             .is_some_and(|slot| slot.is_visible && slot.page == page && slot.contents == contents_of(page));
         assert!(is_right, "RIGHT_PAGE: a thread read {page} and found {slot:?}");
     }
 
-    /// Checks that everything agrees with each other and with the table.
-    pub(super) fn check_invariants(&self, table: &PageTable<'_>) {
+    /// Checks that everything agrees with each other and with the state machine, which says where a page is.
+    pub(super) fn check_invariants(&self, slot_of: impl Fn(PageId) -> Option<SlotId>) {
         let seen: u32 = self.visible.0.iter().map(|word| word.count_ones()).sum();
         assert_eq!(seen, self.visible_count, "BOUNDED: pages that readers see are counted");
         let shown = self.slots.iter().filter(|slot| slot.is_visible);
         assert_eq!(shown.clone().count(), seen as usize, "SLOT_HOLDS_ONE_PAGE");
         for slot in shown {
-            self.read(slot.page, table);
+            self.read(slot.page, slot_of(slot.page));
         }
     }
 }
@@ -177,3 +176,95 @@ impl Parts {
 }
 
 const NO_PAGE: PageId = PageId(u32::MAX);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PAGE: PageId = PageId(1);
+    const OTHER: PageId = PageId(3);
+    const SLOT: SlotId = SlotId(0);
+    const PAGE_BYTES: u32 = 1024;
+
+    /// Node 0 of two, with the odd pages at node 1, and two slots.
+    fn mapping() -> Mapping {
+        Mapping::new(&Stripes::new(8, 1, NodeId(0), 2).unwrap(), NodeId(0), 2, true)
+    }
+
+    fn with_page(contents: u64) -> Mapping {
+        let mut mapping = mapping();
+        mapping.map(PAGE, SLOT, contents);
+        mapping
+    }
+
+    #[test]
+    fn a_page_is_seen_from_its_mapping_to_its_unmapping() {
+        let mut mapping = with_page(contents_of(PAGE));
+        assert!(mapping.is_seen(PAGE) && !mapping.is_seen(OTHER));
+        mapping.read(PAGE, Some(SLOT));
+        mapping.check_invariants(|_| Some(SLOT));
+        mapping.unmap(PAGE, SLOT);
+        assert!(!mapping.is_seen(PAGE));
+        mapping.check_invariants(|_| None);
+    }
+
+    #[test]
+    fn own_pages_are_always_there() {
+        let mut mapping = mapping();
+        mapping.clear();
+        assert!(mapping.is_seen(PageId(2)));
+        mapping.read(PageId(2), None);
+    }
+
+    #[test]
+    #[should_panic(expected = "RIGHT_PAGE")]
+    fn other_contents_are_noticed() {
+        with_page(contents_of(OTHER)).read(PAGE, Some(SLOT));
+    }
+
+    #[test]
+    #[should_panic(expected = "RIGHT_PAGE")]
+    fn another_slot_is_noticed() {
+        with_page(contents_of(PAGE)).check_invariants(|_| Some(SlotId(1)));
+    }
+
+    #[test]
+    #[should_panic(expected = "SLOT_HOLDS_ONE_PAGE")]
+    fn filling_a_slot_that_is_seen_is_noticed() {
+        with_page(contents_of(PAGE)).map(OTHER, SLOT, contents_of(OTHER));
+    }
+
+    #[test]
+    #[should_panic(expected = "SLOT_HOLDS_ONE_PAGE")]
+    fn a_page_in_two_slots_is_noticed() {
+        with_page(contents_of(PAGE)).map(PAGE, SlotId(1), contents_of(PAGE));
+    }
+
+    #[test]
+    fn all_parts_make_a_page() {
+        let mut mapping = mapping();
+        for part in [3, 0, 2, 1, 2] {
+            mapping.store(PAGE, SLOT, part * 256, 256, fragment_unit(PAGE_BYTES), contents_of(PAGE));
+        }
+        assert_eq!(mapping.gather(PAGE, SLOT, PAGE_BYTES), contents_of(PAGE));
+    }
+
+    #[test]
+    #[should_panic(expected = "WHOLE_PAGE")]
+    fn a_part_that_is_missing_is_noticed() {
+        let mut mapping = mapping();
+        for part in 0..3 {
+            mapping.store(PAGE, SLOT, part * 256, 256, fragment_unit(PAGE_BYTES), contents_of(PAGE));
+        }
+        mapping.gather(PAGE, SLOT, PAGE_BYTES);
+    }
+
+    #[test]
+    #[should_panic(expected = "WHOLE_PAGE")]
+    fn a_part_of_another_page_is_noticed() {
+        let mut mapping = mapping();
+        mapping.store(PAGE, SLOT, 0, 512, fragment_unit(PAGE_BYTES), contents_of(PAGE));
+        mapping.store(PAGE, SLOT, 512, 512, fragment_unit(PAGE_BYTES), contents_of(OTHER));
+        mapping.gather(PAGE, SLOT, PAGE_BYTES);
+    }
+}

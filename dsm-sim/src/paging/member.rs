@@ -200,7 +200,7 @@ impl<'s, R: Replacement> Member<'s, R> {
 
     fn read(&self, page: PageId) {
         if let Some(node) = &self.node {
-            self.mapping.read(page, node.table());
+            self.mapping.read(page, node.table().slot(page));
         }
     }
 
@@ -482,7 +482,7 @@ impl<R: Replacement> Actor for Member<'_, R> {
     fn check_invariants(&self, view: View) {
         let Some(node) = &self.node else { return };
         node.check_invariants();
-        self.mapping.check_invariants(node.table());
+        self.mapping.check_invariants(|page| node.table().slot(page));
         let longest_ns = us(self.shared.config.node.deadline_us) * 2 + SLACK_NS + view.grace_ns;
         for thread in self.threads.iter().filter(|thread| thread.is_waiting()) {
             let waited_ns = view.now.since(thread.touched);

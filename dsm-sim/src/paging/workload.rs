@@ -12,7 +12,7 @@ pub enum Workload {
     /// The page of rank `r` with a chance proportional to `1 / r^exponent`. All threads agree on the ranks, and these
     /// are scattered over the address space.
     Zipf {
-        /// 0 is uniform, 1 is what one finds in many places.
+        /// 0 is uniform, 1 is what one finds in many places; at most 16.
         exponent: f64,
     },
     /// Any page of a window that moves on through the address space and around. Each thread has its own, and they
@@ -87,7 +87,7 @@ pub(super) const fn contents_of(page: PageId) -> u64 {
 /// Sums of `1 / r^exponent` up to each rank, scaled so that the last is 2^64 - 1.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "in 0..2^64; more saturates")]
 fn sums(page_count: u32, exponent: f64) -> Vec<u64> {
-    let weight = |rank: u32| f64::from(rank).powf(-exponent);
+    let weight = |rank: u32| 1.0 / power(f64::from(rank), exponent);
     let whole: f64 = (1..=page_count).map(weight).sum();
     let mut sum = 0.0;
     let scaled = (1..=page_count).map(|rank| {
@@ -100,6 +100,27 @@ fn sums(page_count: u32, exponent: f64) -> Vec<u64> {
     }
     sums
 }
+
+/// `base` to a power in `0..=EXPONENT_MAX`, by multiplications and square roots alone: these are rounded in one way
+/// everywhere, so that every machine has the same workload.
+fn power(base: f64, exponent: f64) -> f64 {
+    let (mut power, mut root, mut rest) = (1.0, base, exponent);
+    while rest >= 1.0 {
+        power *= base;
+        rest -= 1.0;
+    }
+    while rest > 0.0 {
+        (root, rest) = (root.sqrt(), rest * 2.0);
+        if rest >= 1.0 {
+            power *= root;
+            rest -= 1.0;
+        }
+    }
+    power
+}
+
+/// The steepest Zipf workload there can be; all of it falls on one page.
+pub(super) const EXPONENT_MAX: f64 = 16.0;
 
 /// About the golden section of `count`, such that steps of it visit every number below once.
 const fn scattering_step(count: u64) -> u64 {
@@ -146,6 +167,14 @@ mod tests {
             assert!((0.9..1.1).contains(&ratio), "rank {rank}: {ratio}");
         }
         assert!(counts[99] > 0);
+    }
+
+    #[test]
+    fn powers_are_powers() {
+        for (base, exponent) in [(2.0, 0.5), (10.0, 3.0), (7.0, 0.0), (1e6, 1.25), (3.0, 0.7), (5.0, 16.0)] {
+            let ratio = power(base, exponent) / base.powf(exponent);
+            assert!((ratio - 1.0).abs() < 1e-12, "{base} to {exponent}: {ratio}");
+        }
     }
 
     #[test]
