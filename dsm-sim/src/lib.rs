@@ -98,3 +98,4 @@ mod queue;
 pub mod time;
 mod trace;
 pub mod verify;
+mod wires;

@@ -5,7 +5,7 @@
 use core::fmt;
 
 use dsm_core::home::{Answer, Home};
-use dsm_core::id::{Incarnation, NodeId, PageId, PortId, SlotId};
+use dsm_core::id::{Incarnation, NodeId, PageId, PortId};
 use dsm_core::node::{Fault, Node, Output, PageBytes};
 use dsm_core::page_state::PageState;
 use dsm_core::replacement::Replacement;
@@ -15,6 +15,7 @@ use dsm_core::wire::{Body, HEADER_BYTES, Message, fragment_unit};
 
 use super::config::{Config, MESSAGE_BYTES};
 use super::mapping::Mapping;
+use super::packet::{Packet, Task};
 use super::report::Counts;
 use super::stray::{POISON, stray_like};
 use super::thread::{Doing, Thread};
@@ -22,63 +23,6 @@ use super::workload::{Pattern, contents_of};
 use crate::chance::Chance;
 use crate::cluster::{Actor, View, stream};
 use crate::time::{Moment, us};
-
-/// A message of the paging protocol, as it travels in a simulation.
-#[derive(Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Packet {
-    /// Its header, byte for byte.
-    pub header: [u8; HEADER_BYTES],
-    /// Stands for the bytes of the page behind a grant's header.
-    pub contents: u64,
-}
-
-/// What a node sets itself to do later.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Task {
-    /// A thread touches its next page.
-    Touch {
-        /// The thread.
-        thread: u8,
-    },
-    /// A thread that touched an absent page tells the state machine.
-    Fault {
-        /// The thread.
-        thread: u8,
-    },
-    /// A thread that waited asks again.
-    Again {
-        /// The thread.
-        thread: u8,
-        /// Its wait; it may have ended otherwise.
-        wait: u32,
-    },
-    /// The bytes of a page have been put into its slot.
-    Filled {
-        /// The page.
-        page: PageId,
-        /// Its slot.
-        slot: SlotId,
-        /// What stands for its bytes.
-        contents: u64,
-    },
-    /// A victim has been taken away from its readers.
-    Unmapped {
-        /// The victim.
-        page: PageId,
-        /// The slot it lay in.
-        slot: SlotId,
-    },
-    /// Requests have to be looked after.
-    Timer {
-        /// When this was thought to be. Another time may have been set since.
-        at: Moment,
-    },
-    /// The owner's part has got to this request.
-    Serve {
-        /// The request.
-        packet: Packet,
-    },
-}
 
 type Io<'a> = crate::cluster::Io<'a, Packet, Task>;
 
@@ -493,16 +437,6 @@ impl<R: Replacement> Actor for Member<'_, R> {
                 waited_ns / 1_000,
                 thread.page
             );
-        }
-    }
-}
-
-/// As the message that it is.
-impl fmt::Debug for Packet {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match Message::parse(&self.header) {
-            Ok(Message { page, request, body, .. }) => write!(f, "{body:?} of {page}, request {request}"),
-            Err(error) => write!(f, "{error}"),
         }
     }
 }

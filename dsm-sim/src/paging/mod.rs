@@ -3,6 +3,7 @@
 mod config;
 mod mapping;
 mod member;
+mod packet;
 mod report;
 mod stray;
 mod thread;
@@ -10,7 +11,8 @@ mod workload;
 mod world;
 
 pub use config::{Config, ConfigError, Costs};
-pub use member::{Member, Packet, Task};
+pub use member::Member;
+pub use packet::{Packet, Task};
 pub use report::{Counts, NodeReport, Report};
 pub use workload::Workload;
 pub use world::{Memory, World};

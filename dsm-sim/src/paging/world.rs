@@ -11,7 +11,8 @@ use dsm_core::stats::Histogram;
 use dsm_core::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
 
 use super::config::{Config, ConfigError};
-use super::member::{MakePolicy, Member, Packet, Shared, Task};
+use super::member::{MakePolicy, Member, Shared};
+use super::packet::{Packet, Task};
 use super::report::{NodeReport, Report};
 use super::workload::Pattern;
 use crate::chance::mix;
