@@ -75,6 +75,16 @@ mod tests {
     }
 
     #[test]
+    fn the_order_of_pushing_is_kept_in_places_that_are_used_again() {
+        let mut queue = Queue::new();
+        for round in 0..3 {
+            (0..10).for_each(|event| queue.push(Moment::from_ns(round), event));
+            assert!(core::iter::from_fn(|| queue.pop()).map(|(_, event)| event).eq(0..10));
+        }
+        assert_eq!(queue.events.len(), 10);
+    }
+
+    #[test]
     fn places_are_used_again_and_no_event_is_lost_or_doubled() {
         let (mut queue, mut chance) = (Queue::new(), Chance::new(1, 0));
         let (mut popped, mut last) = (Vec::new(), Moment::ZERO);

@@ -140,6 +140,46 @@ impl Actor for Idler {
     }
 }
 
+/// Looks at its clock every 100 us.
+#[derive(Default)]
+struct Watcher(Vec<u64>);
+
+impl Actor for Watcher {
+    type Message = ();
+    type Task = ();
+
+    fn handle_start(&mut self, io: &mut Io<'_, (), ()>) {
+        io.work(us(100), ());
+    }
+
+    fn handle_message(&mut self, _io: &mut Io<'_, (), ()>, _from: NodeId, (): ()) {}
+
+    fn handle_task(&mut self, io: &mut Io<'_, (), ()>, (): ()) {
+        self.0.push(io.clock().as_micros());
+        io.work(us(100), ());
+    }
+
+    fn handle_crash(&mut self) {}
+
+    fn is_done(&self) -> bool {
+        self.0.len() >= 4
+    }
+}
+
+#[test]
+fn clocks_start_apart_run_alike_and_jump_alone() {
+    let jump = |at, us| (at_us(at), Fault::ClockJump { node: NodeId(1), us });
+    let watchers = vec![Watcher::default(), Watcher::default()];
+    let mut cluster = Cluster::new(setup(0, &[jump(150, 5_000), jump(250, -2_000)], 1), watchers);
+    cluster.run(Moment::NEVER);
+    let [one, other] = cluster.actors() else { panic!("two watchers") };
+    let steps = |watcher: &Watcher| -> Vec<u64> {
+        watcher.0.windows(2).map(|pair| pair[1].abs_diff(pair[0])).collect()
+    };
+    assert_eq!((steps(one), steps(other)), (vec![100, 100, 100], vec![5_100, 1_900, 100]));
+    assert_ne!(one.0[0], other.0[0]);
+}
+
 fn idlers(circles: bool, setup: Setup) -> (Cluster<Idler>, Rc<RefCell<Vec<NodeId>>>) {
     let checks = Rc::new(RefCell::new(Vec::new()));
     let idler = |_| Idler { circles, checks: checks.clone(), me: NodeId(0) };
