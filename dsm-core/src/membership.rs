@@ -166,14 +166,6 @@ impl<'s> Membership<'s> {
         }
     }
 
-    /// A part of a page that was missing came from `node`: what it sends gets through, so its timeouts are no longer doubled,
-    /// though nobody can tell which sending this was the answer to.
-    pub(crate) fn advanced(&mut self, node: NodeId) {
-        if let Some(peer) = self.peer_mut(node) {
-            peer.backoff = 0;
-        }
-    }
-
     /// A request is being sent to `node`.
     pub(crate) fn sent(&mut self, now: Instant, node: NodeId) {
         if let Some(peer) = self.peer_mut(node) {
@@ -182,12 +174,12 @@ impl<'s> Membership<'s> {
         }
     }
 
-    /// A request to `node` was not answered in a time that had been doubled `backoff` times: the next waits twice as
-    /// long, however many requests find out at once. Looks at how long the node has been silent.
+    /// A request to `node` was not answered in time: its timeouts are doubled `backoff` times from now on, however many
+    /// requests find out at once. Looks at how long the node has been silent.
     pub(crate) fn timed_out(&mut self, now: Instant, node: NodeId, backoff: u8) {
         let patience = self.patience;
         let Some(peer) = self.peer_mut(node) else { return };
-        peer.backoff = peer.backoff.max(backoff + 1).min(BACKOFF_MAX);
+        peer.backoff = peer.backoff.max(backoff).min(BACKOFF_MAX);
         let silent_us = peer.silent_since.map_or(0, |since| now.since(since));
         let is_ignored = peer.unanswered >= UNANSWERED_BEFORE_DEATH;
         let liveness = if silent_us >= patience.dead_after_us && is_ignored {
@@ -287,7 +279,7 @@ mod tests {
     }
 
     fn ask_in_vain(membership: &mut Membership<'_>, times: u8, until: u64) -> Liveness {
-        for backoff in 0..times {
+        for backoff in 1..=times {
             membership.sent(at(0), PEER);
             membership.timed_out(at(until), PEER, backoff);
         }
@@ -333,7 +325,7 @@ mod tests {
     #[test]
     fn timeouts_double_until_something_sent_once_is_answered() {
         with_membership(|mut membership| {
-            for backoff in 0..3 {
+            for backoff in 1..=3 {
                 membership.timed_out(at(0), PEER, backoff);
                 membership.timed_out(at(0), PEER, backoff);
             }
@@ -344,20 +336,11 @@ mod tests {
     }
 
     #[test]
-    fn timeouts_no_longer_double_once_a_missing_part_comes() {
-        with_membership(|mut membership| {
-            (0..3).for_each(|backoff| membership.timed_out(at(0), PEER, backoff));
-            membership.advanced(PEER);
-            assert_eq!(membership.timeout_us(PEER), 10);
-        });
-    }
-
-    #[test]
     fn nodes_that_own_nothing_are_unknown_and_harmless() {
         with_membership(|mut membership| {
             for node in [NodeId(0), NodeId(4), NodeId(u16::MAX)] {
                 membership.sent(at(0), node);
-                membership.timed_out(at(1000), node, 0);
+                membership.timed_out(at(1000), node, 1);
                 assert!(!membership.heard(node, Incarnation(9)) && !membership.bury(node));
                 assert_eq!((membership.liveness(node), membership.timeout_us(node)), (Liveness::Alive, 10));
             }

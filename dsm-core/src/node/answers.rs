@@ -143,10 +143,8 @@ impl<R: Replacement> Node<'_, R> {
             return Ok(());
         }
         let added = request.fragments.add(page_bytes, offset, bytes);
-        if added != Added::Nothing {
-            self.membership.advanced(from);
-        }
         if request.holder == from {
+            request.has_advanced |= added != Added::Nothing;
             // It is on its way: what is missing may be asked for again a whole round trip from now.
             request.resend_at = now.after(self.membership.timeout_us(from));
         }
