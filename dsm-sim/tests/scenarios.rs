@@ -1,5 +1,5 @@
 //! What must hold does, in small worlds that reach every part of the protocol; and with `--cfg mutants`, faults that
-//! are put into the protocol on purpose are found out.
+//! are put into the protocol on purpose are found out. `./ci.sh mutants` prints which, beside the other engines.
 
 use dsm_core::id::NodeId;
 use dsm_core::replacement::PolicyKind;
@@ -87,10 +87,11 @@ fn deaths_are_told() -> Config {
     config
 }
 
-/// Readers and one store, which dies and takes all pages with it.
+/// Readers and one store, which dies and takes all pages with it. Nobody finds out before the deadline.
 fn the_only_copy_dies() -> Config {
     let mut config = Config::with_stores(2, 1, 32).unwrap();
     (config.touches, config.checks, config.until) = (10, Checks::EveryStep, Moment::from_ns(ms(60_000)));
+    config.node.dead_after_us = 3_600_000_000;
     config.faults.schedule = vec![(Moment::from_ns(us(50)), Fault::Crash(NodeId(2)))];
     config
 }
