@@ -3,7 +3,7 @@
 use anyhow::Result;
 
 use crate::findings::Findings;
-use crate::{embree, scaling, sim, table1};
+use crate::{embree, paging_core, scaling, sim, table1};
 
 /// An experiment: its name on the command line, what it shows, how it is run.
 #[derive(Debug)]
@@ -26,7 +26,7 @@ pub(crate) enum Effort {
 
 /// All experiments, in the order in which `all` runs them.
 pub(crate) const ALL: &[Experiment] =
-    &[table1::EXPERIMENT, scaling::EXPERIMENT, embree::EXPERIMENT, sim::EXPERIMENT];
+    &[table1::EXPERIMENT, paging_core::EXPERIMENT, scaling::EXPERIMENT, embree::EXPERIMENT, sim::EXPERIMENT];
 
 impl Effort {
     pub(crate) fn is_quick(self) -> bool {

@@ -1,7 +1,7 @@
 //! What makes two states of a cluster the same to everything that can happen to it.
 
+use core::hash::{Hash, Hasher};
 use std::collections::hash_map::DefaultHasher;
-use std::hash::{Hash, Hasher};
 
 use dsm_core::time::Instant;
 use dsm_core::wire::{Body, Message};

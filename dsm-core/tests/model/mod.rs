@@ -1,8 +1,9 @@
 //! The model: a world, how much may go wrong in it, and the properties.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
-use std::hash::{Hash, Hasher};
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use core::hash::{Hash, Hasher};
+use core::panic::AssertUnwindSafe;
+use std::panic::catch_unwind;
 
 use dsm_ops::{Op, Setup, Stray, Tally, World};
 use stateright::{Checker, HasDiscoveries, Model, Property};

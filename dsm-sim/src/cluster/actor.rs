@@ -35,7 +35,8 @@ pub trait Actor {
     /// The node stops; its tasks are gone already. It hears nothing until it is started again.
     fn handle_crash(&mut self);
 
-    /// Somebody who knows says that `peer` is dead. See [`Faults::tell_deaths_after_ns`].
+    /// Somebody who knows says that `peer` is dead. See
+    /// [`tell_deaths_after_ns`](crate::fault::Faults::tell_deaths_after_ns).
     fn handle_peer_down(&mut self, _io: &mut Io<'_, Self::Message, Self::Task>, _peer: NodeId) {}
 
     /// Whether it has done all that it is there for. The run ends when every node that is up, or will be, says so.
