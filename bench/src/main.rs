@@ -11,6 +11,7 @@
 //! | [`paging_core`] | what one fault costs the state machine alone |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
 //! | [`left_out`] | what a scene does not need |
+//! | [`sim`] | the simulator: events a second |
 //! | [`findings`], [`table`], [`plot`], [`spread`] | what an experiment gives back, and how it is shown |
 //! | [`quiet`] | telling quiet rounds from those in which other programs wanted the machine |
 //! | [`distance`] | how far apart the cores are at the moment |
@@ -35,6 +36,7 @@ mod paging_core;
 mod plot;
 mod quiet;
 mod scaling;
+mod sim;
 mod space;
 mod spread;
 mod table;

@@ -174,6 +174,18 @@ impl<'s, R: Replacement> Node<'s, R> {
         })
     }
 
+    /// Gives the lent storage back, for a node that takes this one's place.
+    #[must_use]
+    pub fn into_storage(self) -> Storage<'s> {
+        let (pages, slots) = self.table.into_entries();
+        Storage {
+            pages,
+            slots,
+            peers: self.membership.into_entries(),
+            requests: self.requests.into_entries(),
+        }
+    }
+
     /// A thread touched `page`, which was not mapped for it. It can be reached through `port`.
     pub fn handle_fault(&mut self, now: Instant, page: PageId, port: PortId) -> Fault {
         self.stats.faults += 1;

@@ -106,6 +106,11 @@ impl<'s> PageTable<'s> {
         self.lists
     }
 
+    /// Gives the lent entries back. What is in them means nothing any more.
+    pub(crate) fn into_entries(self) -> (&'s mut [PageEntry], &'s mut [SlotEntry]) {
+        (self.pages, self.slots)
+    }
+
     /// Feeds a hash with the state of every page and slot.
     pub(crate) fn fingerprint(&self, hasher: &mut impl Hasher) {
         self.pages.hash(hasher);

@@ -144,6 +144,7 @@ impl<R: Replacement> Node<'_, R> {
         }
         let added = request.fragments.add(page_bytes, offset, bytes);
         if request.holder == from {
+            request.has_advanced |= added != Added::Nothing;
             // It is on its way: what is missing may be asked for again a whole round trip from now.
             request.resend_at = now.after(self.membership.timeout_us(from));
         }
