@@ -13,7 +13,8 @@
 //! | [`placement`] | which node is home to which page |
 //! | [`page_state`] | the life of a page in a cache, as one table of state and event |
 //! | [`page_table`], [`storage`] | where that state is kept, in memory lent by the caller |
-//! | [`replacement`] | which page has to leave: `random`, `fifo`, `clock` |
+//! | [`replacement`] | which page has to leave: `random`, `fifo`, `clock`, `sieve`, `s3-fifo`, `recall` |
+//! | [`page_sets`] | what each tile touched in the last frame, which foretells the next |
 //! | [`request`] | what has been asked for and not yet answered |
 //! | [`wire`] | the messages: parse and emit |
 //! | [`node`] | the state machine of a node that reads pages |
@@ -70,6 +71,7 @@ pub mod fuzzing;
 pub mod home;
 pub mod id;
 pub mod node;
+pub mod page_sets;
 pub mod page_state;
 pub mod page_table;
 pub mod placement;

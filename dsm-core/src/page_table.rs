@@ -211,14 +211,15 @@ impl<'s> PageTable<'s> {
         debug_assert_ne!(slot, NONE, "a fault is let through only when a slot is free");
         let entry = &mut self.slots[slot as usize];
         self.free_head = entry.next;
-        *entry = SlotEntry { page: page.0, ..SlotEntry::EMPTY };
+        (entry.page, entry.next) = (page.0, NONE);
         self.free_count -= 1;
         self.pages[page.index()].set_slot(slot);
     }
 
     fn free_slot(&mut self, page: PageId) {
         let slot = self.pages[page.index()].slot();
-        self.slots[slot as usize] = SlotEntry { next: self.free_head, ..SlotEntry::EMPTY };
+        let entry = &mut self.slots[slot as usize];
+        (entry.page, entry.next, entry.evictable) = (NONE, self.free_head, false);
         self.free_head = slot;
         self.free_count += 1;
     }

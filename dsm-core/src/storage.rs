@@ -19,17 +19,25 @@ pub struct Storage<'s> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PageEntry(u32);
 
-/// What a node knows of one slot, in 12 bytes. Opaque; start with [`SlotEntry::EMPTY`].
+/// What a node knows of one slot, in 28 bytes. Opaque; start with [`SlotEntry::EMPTY`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SlotEntry {
     /// The page in this slot, or [`NONE`] when it is free.
     pub(crate) page: u32,
     /// The next slot of the list this one is in: the free list, or the order of a replacement policy.
     pub(crate) next: u32,
+    /// The slot before this one, in a list that can be left from its middle.
+    pub(crate) previous: u32,
     /// The page in this slot may be chosen as a victim: it is resident, and neither coming nor leaving.
     pub(crate) evictable: bool,
-    /// The page was used since the policy last looked.
-    pub(crate) referenced: bool,
+    /// How often the page was used since the policy last looked, as far as the policy counts.
+    pub(crate) uses: u8,
+    /// A page that left not long ago, or [`NONE`]. Has nothing to do with the page that is in the slot.
+    pub(crate) ghost: u32,
+    /// Tells how long ago `ghost` left.
+    pub(crate) ghost_number: u32,
+    /// The tile that is expected to use the page next, or that used it last, in the count of all tiles.
+    pub(crate) next_use: u32,
 }
 
 /// Stands for "no page" and "no slot".
@@ -74,7 +82,16 @@ impl PageEntry {
 
 impl SlotEntry {
     /// A free slot.
-    pub const EMPTY: Self = Self { page: NONE, next: NONE, evictable: false, referenced: false };
+    pub const EMPTY: Self = Self {
+        page: NONE,
+        next: NONE,
+        previous: NONE,
+        evictable: false,
+        uses: 0,
+        ghost: NONE,
+        ghost_number: 0,
+        next_use: 0,
+    };
 }
 
 #[cfg(test)]
@@ -100,8 +117,8 @@ mod tests {
     }
 
     #[test]
-    fn a_page_costs_4_bytes_and_a_slot_12() {
+    fn a_page_costs_4_bytes_and_a_slot_28() {
         assert_eq!(size_of::<PageEntry>(), 4);
-        assert_eq!(size_of::<SlotEntry>(), 12);
+        assert_eq!(size_of::<SlotEntry>(), 28);
     }
 }
