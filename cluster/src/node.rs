@@ -244,7 +244,11 @@ impl Process {
     fn job(&self, frame: Frame) -> Arc<Job> {
         let tiles = Tiles::of(frame.width, frame.height);
         let schedule = Static::new(tiles, self.set_up.nodes.into());
-        Arc::new(Job::new(frame, tiles, schedule.tiles_of(self.set_up.node.into()).collect()))
+        Arc::new(Job::new(
+            frame,
+            tiles,
+            schedule.drawing_order(self.set_up.node.into(), frame.number).collect(),
+        ))
     }
 
     /// Ends the threads and writes down what they have counted.
