@@ -8,6 +8,7 @@
 //! | [`command_line`] | names and flags |
 //! | [`table1`] | hits and misses, as in the paper's Table 1 |
 //! | [`scaling`] | frame rate over nodes and memory |
+//! | [`replacement`] | misses of the replacement policies, and what prefetch spares |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
 //! | [`findings`], [`table`], [`plot`], [`spread`] | what an experiment gives back, and how it is shown |
 //! | [`quiet`] | telling quiet rounds from those in which other programs wanted the machine |
@@ -30,6 +31,7 @@ mod memory;
 mod owner;
 mod plot;
 mod quiet;
+mod replacement;
 mod scaling;
 mod space;
 mod spread;
