@@ -215,6 +215,8 @@ impl Process {
             cluster: ClusterId(cluster),
             epoch: EPOCH,
             resend_us: RESEND_US.min(deadline_us),
+            resend_us_min: RESEND_US.min(deadline_us),
+            dead_after_us: deadline_us,
             deadline_us,
             ..Config::new(self.me(), self.placement, page_bytes)
         };

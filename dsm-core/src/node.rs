@@ -3,24 +3,29 @@
 //! `Node` never waits. Facts go in with the time through `handle_*`, work comes out of [`Node::poll`], the driver
 //! does it. One input, then poll until [`Output::Idle`]: this bounds the outbox, and is checked.
 
+mod answers;
+mod asking;
 mod config;
+mod snapshot;
 
+pub use answers::MessageError;
 pub use config::{Config, ConfigError, EVICT_BATCH_MAX};
-
-use core::fmt;
+pub use snapshot::Snapshot;
 
 use heapless::Deque;
 
 use crate::failure::Failure;
-use crate::id::{ClusterId, Epoch, NodeId, PageId, PortId, SlotId};
+use crate::id::{Incarnation, NodeId, PageId, PortId, SlotId};
+use crate::membership::{Liveness, Membership};
+use crate::mutants::{self, Mutant};
 use crate::page_state::{Effect, PageEvent, PageState};
-use crate::page_table::PageTable;
+use crate::page_table::{PageTable, StorageError};
 use crate::replacement::{Policy, Replacement};
-use crate::request::{Due, Request, Requests};
+use crate::request::Requests;
 use crate::stats::NodeStats;
-use crate::storage::Storage;
-use crate::time::Instant;
-use crate::wire::{Body, Message, ParseError};
+use crate::storage::{PeerEntry, Storage};
+use crate::time::{Instant, SteadyClock};
+use crate::wire::Message;
 
 /// A node that reads pages of other nodes through a bounded cache.
 ///
@@ -34,8 +39,10 @@ use crate::wire::{Body, Message, ParseError};
 pub struct Node<'s, R: Replacement = Policy> {
     config: Config,
     table: PageTable<'s>,
-    requests: Requests,
+    requests: Requests<'s>,
+    membership: Membership<'s>,
     replacement: R,
+    clock: SteadyClock,
     outbox: Deque<Pending, OUTBOX>,
     /// A thread waits for a slot, any slot.
     slot_waited_for: bool,
@@ -73,13 +80,27 @@ pub enum Output {
         /// Bytes to send.
         len: usize,
     },
-    /// The bytes of `page` that came with the message belong into `slot`: fill it, make the whole page visible at
-    /// once, then call [`Node::handle_filled`].
+    /// The bytes that came with the message are a part of `page`: put them aside, where the parts of the page in `slot`
+    /// are gathered. No reader sees them yet.
+    Store {
+        /// The page of which a part arrived.
+        page: PageId,
+        /// The slot kept for it.
+        slot: SlotId,
+        /// Where in the page the part starts.
+        offset: u32,
+        /// Its length.
+        bytes: u32,
+    },
+    /// All bytes of `page` are here and belong into `slot`: fill it, make the whole page visible at once, then call
+    /// [`Node::handle_filled`].
     Map {
         /// The page that arrived.
         page: PageId,
         /// The slot kept for it.
         slot: SlotId,
+        /// Where the bytes are.
+        bytes: PageBytes,
     },
     /// Take `page` away from its readers, then call [`Node::handle_unmapped`]. Until then nobody else gets `slot`.
     Unmap {
@@ -99,42 +120,19 @@ pub enum Output {
     Idle(Option<Instant>),
 }
 
-/// Why the bytes of a message were refused. The node's state has not changed, but for a counter.
+/// Where the bytes of a page are that has arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum MessageError {
-    /// The bytes are no message.
-    Parse(ParseError),
-    /// It belongs to another run.
-    Cluster(ClusterId),
-    /// It was sent in another epoch.
-    Epoch(Epoch),
-    /// It is for another node.
-    To(NodeId),
-    /// The address space has no such page.
-    NoSuchPage(PageId),
-    /// `from` is not the home of the page it sent.
-    NotOwner {
-        /// The page.
-        page: PageId,
-        /// The sender.
-        from: NodeId,
-    },
-    /// A page of another length than this cluster's.
-    PageBytes {
-        /// The length it gives.
-        got: u32,
-    },
-    /// A request; those go to [`Home`](crate::home::Home).
-    Request,
-    /// An answer to no request that is under way: it came late, or twice.
-    Late(PageId),
+pub enum PageBytes {
+    /// All of them came with the message.
+    InMessage,
+    /// They were gathered as [`Output::Store`] said, the last of them just now.
+    Stored,
 }
 
 /// Outputs that one input can cause.
 pub const OUTBOX: usize = EVICT_BATCH_MAX as usize + 4;
 
-/// Requests that one call of [`Node::handle_timeout`] looks after; each can cause two outputs.
+/// Requests that one call of [`Node::handle_timeout`] looks after; each can cause two outputs. Those left over stay due.
 const DUE_MAX: usize = OUTBOX / 2;
 
 /// An output before it is polled.
@@ -151,11 +149,24 @@ impl<'s, R: Replacement> Node<'s, R> {
     /// The configuration contradicts itself or the storage.
     pub fn new(config: Config, storage: Storage<'s>, replacement: R) -> Result<Self, ConfigError> {
         config.check()?;
+        let Storage { pages, slots, peers, requests } = storage;
+        let (placement, me) = (&config.placement, config.me);
+        let table = PageTable::new(pages, slots, placement, me).map_err(ConfigError::Storage)?;
+        let needed = placement.owner_count();
+        if peers.len() != usize::from(needed) {
+            return Err(ConfigError::Storage(StorageError::Peers { needed, got: peers.len() }));
+        }
+        if requests.is_empty() && placement.held_pages(me) < placement.page_count() {
+            return Err(ConfigError::Storage(StorageError::NoRequests));
+        }
+        peers.fill(PeerEntry::EMPTY);
         Ok(Self {
-            table: PageTable::new(storage, &config.placement, config.me).map_err(ConfigError::Storage)?,
+            table,
+            requests: Requests::new(requests, 0),
+            membership: Membership::new(peers, placement.first_owner(), config.patience(), config.limits()),
             config,
-            requests: Requests::default(),
             replacement,
+            clock: SteadyClock::default(),
             outbox: Deque::new(),
             slot_waited_for: false,
             next_number: 0,
@@ -187,6 +198,7 @@ impl<'s, R: Replacement> Node<'s, R> {
     /// The message is not believed; it is counted and changes nothing.
     pub fn handle_message(&mut self, now: Instant, bytes: &[u8]) -> Result<(), MessageError> {
         self.expect_drained();
+        let now = self.clock.advance(now);
         match self.check(bytes).and_then(|message| self.accept(now, message)) {
             Err(error @ MessageError::Late(_)) => {
                 self.stats.late_answers += 1;
@@ -201,8 +213,9 @@ impl<'s, R: Replacement> Node<'s, R> {
     }
 
     /// The driver has filled the slot of `page` and made the page visible.
-    pub fn handle_filled(&mut self, _now: Instant, page: PageId) {
+    pub fn handle_filled(&mut self, now: Instant, page: PageId) {
         self.expect_drained();
+        self.clock.advance(now);
         if let Effect::Wake = self.apply(page, PageEvent::Filled) {
             if let Some(slot) = self.table.slot(page) {
                 self.replacement.handle_resident(self.table.slots_mut(), slot);
@@ -212,8 +225,9 @@ impl<'s, R: Replacement> Node<'s, R> {
     }
 
     /// The driver has taken `page` away from its readers.
-    pub fn handle_unmapped(&mut self, _now: Instant, page: PageId) {
+    pub fn handle_unmapped(&mut self, now: Instant, page: PageId) {
         self.expect_drained();
+        self.clock.advance(now);
         if let Effect::Release = self.apply(page, PageEvent::Unmapped) {
             self.wake(page);
         }
@@ -229,20 +243,43 @@ impl<'s, R: Replacement> Node<'s, R> {
     }
 
     /// Time has passed for the requests that left through `port`. Early or repeated calls do nothing.
+    ///
+    /// Requests whose peer has died are due at once.
     pub fn handle_timeout(&mut self, now: Instant, port: PortId) {
         self.expect_drained();
+        let now = self.clock.advance(now);
         for _ in 0..DUE_MAX {
-            match self.requests.next_due(now, port) {
-                None => break,
-                Some(Due::Resend(request)) => {
-                    self.stats.resends += 1;
-                    self.send(request);
-                }
-                Some(Due::Expired(request)) => {
-                    self.fail(request.page, Failure::NoAnswer { from: request.home })
-                }
-            }
+            let Some(index) = self.requests.next_due(now, port) else { break };
+            self.look_after(now, index);
         }
+    }
+
+    /// The driver knows that `node` is dead: its connection broke, its process ended, the roster says so.
+    ///
+    /// What was asked of it is due at once, on its port: [`handle_timeout`](Self::handle_timeout) asks the next copy.
+    pub fn handle_peer_down(&mut self, now: Instant, node: NodeId) {
+        self.expect_drained();
+        let now = self.clock.advance(now);
+        if self.membership.bury(node) {
+            self.stats.dead_peers += 1;
+            self.make_due(now, node);
+        }
+    }
+
+    /// The driver knows that `node` is alive in this incarnation, otherwise than by a message given to this node. If it is
+    /// a later one than was known it is a new node, and what was asked of the old one is due at once. The dead stay dead.
+    pub fn handle_peer_heard(&mut self, now: Instant, node: NodeId, incarnation: Incarnation) {
+        self.expect_drained();
+        let now = self.clock.advance(now);
+        if self.membership.trusts(node, incarnation).is_ok() && self.membership.heard(node, incarnation) {
+            self.make_due(now, node);
+        }
+    }
+
+    /// Says how far away `node` is, in any unit. Of the live copies of a page the one that costs least is asked; of those
+    /// that cost the same, the home, then the others in an order that differs from stripe to stripe. All cost 0 at first.
+    pub fn set_cost(&mut self, node: NodeId, cost: u16) {
+        self.membership.set_cost(node, cost);
     }
 
     /// The next piece of work. A message to send is written to the start of `buffer`.
@@ -251,7 +288,7 @@ impl<'s, R: Replacement> Node<'s, R> {
     /// When `buffer` is shorter than [`HEADER_BYTES`](crate::wire::HEADER_BYTES).
     pub fn poll(&mut self, buffer: &mut [u8]) -> Output {
         match self.outbox.pop_front() {
-            None => Output::Idle(self.requests.next_event(None)),
+            None => Output::Idle(self.requests.next_event(None).map(|moment| self.clock.outside(moment))),
             Some(Pending::Done(output)) => output,
             Some(Pending::Send(port, message)) => {
                 Output::Transmit { to: message.to, port, len: message.emit(buffer) }
@@ -262,7 +299,31 @@ impl<'s, R: Replacement> Node<'s, R> {
     /// When [`handle_timeout`](Self::handle_timeout) will have something to do for `port`.
     #[must_use]
     pub fn next_timeout(&self, port: PortId) -> Option<Instant> {
-        self.requests.next_event(Some(port))
+        self.requests.next_event(Some(port)).map(|moment| self.clock.outside(moment))
+    }
+
+    /// What this node thinks of `node`; alive, when it owns nothing.
+    #[must_use]
+    pub fn liveness(&self, node: NodeId) -> Liveness {
+        self.membership.liveness(node)
+    }
+
+    /// The last incarnation of `node` that this node has heard of.
+    #[must_use]
+    pub fn incarnation_of(&self, node: NodeId) -> Incarnation {
+        self.membership.incarnation(node)
+    }
+
+    /// The smoothed round trip to `node` in microseconds, once it has been measured.
+    #[must_use]
+    pub fn round_trip_us(&self, node: NodeId) -> Option<u64> {
+        self.membership.round_trip_us(node)
+    }
+
+    /// Requests under way.
+    #[must_use]
+    pub fn request_count(&self) -> usize {
+        self.requests.len()
     }
 
     /// The configuration it was made with.
@@ -295,6 +356,10 @@ impl<'s, R: Replacement> Node<'s, R> {
             let requested = self.table.state(page) == Some(PageState::Requested);
             assert_eq!(under_way, usize::from(requested), "ONE_REQUEST: {page}");
         }
+        for request in self.requests.iter() {
+            let asks_holder = self.config.placement.holds(request.holder, request.page);
+            assert!(asks_holder, "ASKS_HOLDER: {} asked for {}", request.holder, request.page);
+        }
         if self.slot_waited_for {
             let busy = self.table.slot_count() - self.table.free_count() - self.table.resident_count();
             assert!(busy > 0, "NO_LOST_WAITER: for a slot");
@@ -303,13 +368,18 @@ impl<'s, R: Replacement> Node<'s, R> {
 
     fn answer_fault(&mut self, now: Instant, page: PageId, port: PortId, since: Instant) -> Fault {
         self.expect_drained();
+        let elapsed_us = now.since(since);
+        let now = self.clock.advance(now);
         let Some(state) = self.table.state(page) else { return Fault::Failed(Failure::NoSuchPage) };
         if state == PageState::Absent && (self.table.free_count() == 0 || self.requests.is_full()) {
-            return self.answer_full(now, since);
+            return self.answer_full(elapsed_us);
         }
         match self.apply(page, PageEvent::Fault) {
             Effect::SendRequest => {
-                self.begin_request(now, page, port, since);
+                self.begin_request(now, page, port, elapsed_us);
+                if self.table.free_count() + self.table.leaving_count() < self.config.evict_ahead {
+                    self.evict();
+                }
                 Fault::Fetch
             }
             Effect::Wait => Fault::Wait,
@@ -322,8 +392,8 @@ impl<'s, R: Replacement> Node<'s, R> {
     }
 
     /// No slot is free, or no request is: make a slot free, unless some are becoming free already.
-    fn answer_full(&mut self, now: Instant, since: Instant) -> Fault {
-        if now.since(since) >= self.config.deadline_us {
+    fn answer_full(&mut self, elapsed_us: u64) -> Fault {
+        if elapsed_us >= self.config.deadline_us {
             return Fault::Failed(Failure::NoSlot);
         }
         if self.table.free_count() == 0 && self.table.leaving_count() == 0 {
@@ -331,26 +401,6 @@ impl<'s, R: Replacement> Node<'s, R> {
         }
         self.slot_waited_for = true;
         Fault::Full
-    }
-
-    fn begin_request(&mut self, now: Instant, page: PageId, port: PortId, since: Instant) {
-        let Some(home) = self.config.placement.home(page) else { return };
-        let request = Request {
-            page,
-            home,
-            port,
-            number: self.next_number,
-            resend_at: now.after(self.config.resend_us),
-            interval_us: self.config.resend_us,
-            deadline: since.after(self.config.deadline_us),
-        };
-        self.next_number = self.next_number.wrapping_add(1);
-        self.stats.requests += 1;
-        self.requests.push(request);
-        self.send(request);
-        if self.table.free_count() + self.table.leaving_count() < self.config.evict_ahead {
-            self.evict();
-        }
     }
 
     /// Chooses a batch of victims and has them taken away.
@@ -361,51 +411,11 @@ impl<'s, R: Replacement> Node<'s, R> {
             if let Effect::Unmap = self.apply(page, PageEvent::Evict) {
                 self.stats.evicted_pages += 1;
                 self.push(Pending::Done(Output::Unmap { page, slot }));
-            }
-        }
-    }
-
-    /// Believes a message or says why not, without looking at what was asked for.
-    fn check(&self, bytes: &[u8]) -> Result<Message, MessageError> {
-        let message = Message::parse(bytes).map_err(MessageError::Parse)?;
-        let Message { cluster, epoch, from, to, page, body, .. } = message;
-        if cluster != self.config.cluster {
-            return Err(MessageError::Cluster(cluster));
-        }
-        if epoch != self.config.epoch {
-            return Err(MessageError::Epoch(epoch));
-        }
-        if to != self.config.me {
-            return Err(MessageError::To(to));
-        }
-        match (self.config.placement.home(page), body) {
-            (None, _) => Err(MessageError::NoSuchPage(page)),
-            (_, Body::Request) => Err(MessageError::Request),
-            (Some(home), _) if home != from => Err(MessageError::NotOwner { page, from }),
-            (_, Body::Grant { page_bytes }) if page_bytes != self.config.page_bytes => {
-                Err(MessageError::PageBytes { got: page_bytes })
-            }
-            _ => Ok(message),
-        }
-    }
-
-    /// Acts on a message that is believed.
-    fn accept(&mut self, _now: Instant, message: Message) -> Result<(), MessageError> {
-        let Message { page, from, body, request, .. } = message;
-        self.requests.take(page, request).ok_or(MessageError::Late(page))?;
-        match body {
-            Body::Grant { page_bytes } => {
-                if let (Effect::Map, Some(slot)) = (self.apply(page, PageEvent::Grant), self.table.slot(page))
-                {
-                    self.stats.fetched_pages += 1;
-                    self.stats.received_bytes += u64::from(page_bytes);
-                    self.push(Pending::Done(Output::Map { page, slot }));
+                if mutants::is_on(Mutant::ReuseSlotEarly) {
+                    self.apply(page, PageEvent::Unmapped);
                 }
             }
-            Body::Refusal(why) => self.fail(page, Failure::Refused { by: from, why }),
-            Body::Request => {}
         }
-        Ok(())
     }
 
     /// Gives `page` up. Its request has been taken out.
@@ -418,25 +428,12 @@ impl<'s, R: Replacement> Node<'s, R> {
     }
 
     fn wake(&mut self, page: PageId) {
-        if self.table.take_waited_for(page) {
+        if self.table.take_waited_for(page) && !mutants::is_on(Mutant::WakeNobody) {
             self.push(Pending::Done(Output::WakePage { page }));
         }
-        if core::mem::take(&mut self.slot_waited_for) {
+        if core::mem::take(&mut self.slot_waited_for) && !mutants::is_on(Mutant::WakeNoSlotWaiter) {
             self.push(Pending::Done(Output::WakeSlots));
         }
-    }
-
-    fn send(&mut self, request: Request) {
-        let message = Message {
-            cluster: self.config.cluster,
-            epoch: self.config.epoch,
-            from: self.config.me,
-            to: request.home,
-            page: request.page,
-            request: request.number,
-            body: Body::Request,
-        };
-        self.push(Pending::Send(request.port, message));
     }
 
     fn apply(&mut self, page: PageId, event: PageEvent) -> Effect {
@@ -455,24 +452,6 @@ impl<'s, R: Replacement> Node<'s, R> {
         debug_assert!(self.outbox.is_empty(), "one input, then poll until Idle");
     }
 }
-
-impl fmt::Display for MessageError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Parse(error) => write!(f, "{error}"),
-            Self::Cluster(cluster) => write!(f, "message of another cluster, {:#x}", cluster.0),
-            Self::Epoch(epoch) => write!(f, "message of epoch {}", epoch.0),
-            Self::To(to) => write!(f, "message for {to}"),
-            Self::NoSuchPage(page) => write!(f, "message about {page}, which does not exist"),
-            Self::NotOwner { page, from } => write!(f, "{from} sent {page} and is not its home"),
-            Self::PageBytes { got } => write!(f, "a page of {got} bytes"),
-            Self::Request => write!(f, "a request, and this is no home"),
-            Self::Late(page) => write!(f, "an answer about {page} that nobody waits for"),
-        }
-    }
-}
-
-impl core::error::Error for MessageError {}
 
 #[cfg(test)]
 mod tests;

@@ -1,6 +1,8 @@
-//! The memory a node works in. It owns no array; the caller lends both.
+//! The memory a node works in. It owns no array; the caller lends all.
 
+pub use crate::membership::PeerEntry;
 use crate::page_state::PageState;
+pub use crate::request::RequestEntry;
 
 /// Memory lent to a [`Node`](crate::node::Node) for as long as it lives.
 ///
@@ -11,16 +13,20 @@ pub struct Storage<'s> {
     pub pages: &'s mut [PageEntry],
     /// One entry per slot; decides how many pages can be resident at once.
     pub slots: &'s mut [SlotEntry],
+    /// One entry per node that owns pages.
+    pub peers: &'s mut [PeerEntry],
+    /// One entry per request; decides how many pages can be asked for at once.
+    pub requests: &'s mut [RequestEntry],
 }
 
 /// What a node knows of one page, in 4 bytes. Opaque; start with [`PageEntry::EMPTY`].
 ///
 /// Bits 0..3 the state, bit 3 "somebody waits", bits 4..32 the slot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct PageEntry(u32);
 
 /// What a node knows of one slot, in 28 bytes. Opaque; start with [`SlotEntry::EMPTY`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct SlotEntry {
     /// The page in this slot, or [`NONE`] when it is free.
     pub(crate) page: u32,
@@ -92,6 +98,11 @@ impl SlotEntry {
         ghost_number: 0,
         next_use: 0,
     };
+
+    /// A free slot that still remembers the ghost in it.
+    pub(crate) const fn cleared(&self) -> Self {
+        Self { ghost: self.ghost, ghost_number: self.ghost_number, ..Self::EMPTY }
+    }
 }
 
 #[cfg(test)]

@@ -8,9 +8,10 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use dsm_core::id::{NodeId, PageId, PortId, SlotId};
 use dsm_core::node::{Config, ConfigError, EVICT_BATCH_MAX, Fault, Node, Output};
 use dsm_core::page_state::PageState;
+use dsm_core::placement::Stripes;
 use dsm_core::replacement::{Policy, PolicyKind};
 use dsm_core::stats::NodeStats;
-use dsm_core::storage::{PageEntry, SlotEntry, Storage};
+use dsm_core::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
 use dsm_core::time::Instant;
 use dsm_core::transport::Body;
 use dsm_core::wire::HEADER_BYTES;
@@ -41,8 +42,8 @@ pub(crate) struct Paging {
 /// What the state machine wants done.
 #[derive(Debug, Default)]
 pub(crate) struct Work<'a> {
-    /// A message to send, and to whom.
-    pub(crate) request: Option<(NodeId, [u8; HEADER_BYTES])>,
+    /// Messages to send, and to whom.
+    pub(crate) requests: heapless::Vec<(NodeId, [u8; HEADER_BYTES]), SENT_MAX>,
     /// A page that arrived, and its slot.
     pub(crate) to_fill: Option<(PageId, SlotId)>,
     victims: heapless::Vec<(PageId, SlotId), { EVICT_BATCH_MAX as usize }>,
@@ -50,6 +51,12 @@ pub(crate) struct Work<'a> {
     wakes_slots: bool,
     ticket: Option<Ticket<'a>>,
 }
+
+/// Messages that one thread sends at a time: a request, and perhaps another to see whether a silent owner is back.
+const SENT_MAX: usize = 4;
+
+/// Requests that can be under way at once: one for each thread that can be attached.
+const REQUESTS: usize = 256;
 
 /// Pages whose waiters are woken at a time: those of a batch of victims, or the one that a thread has asked for.
 const WOKEN_MAX: usize = EVICT_BATCH_MAX as usize;
@@ -66,6 +73,8 @@ struct FailureCell {
 struct LentStorage {
     pages: *mut [PageEntry],
     slots: *mut [SlotEntry],
+    peers: *mut [PeerEntry],
+    requests: *mut [RequestEntry],
 }
 
 impl Paging {
@@ -79,7 +88,7 @@ impl Paging {
         policy: (PolicyKind, u64),
     ) -> Result<Self, ConfigError> {
         let config = with_watermarks(config, slot_count);
-        let (storage, lent) = LentStorage::lend(config.placement.page_count(), slot_count);
+        let (storage, lent) = LentStorage::lend(&config.placement, slot_count);
         let node = Node::new(config, storage, Policy::new(policy.0, policy.1))?;
         Ok(Self {
             area,
@@ -205,7 +214,7 @@ impl Paging {
         if let Some(record) = soft.pin(page, start, length) {
             return Ok(record);
         }
-        match (&self.home, self.home_index(page)) {
+        match (&self.home, self.held_index(page)) {
             (Some(home), Some(index)) => {
                 // SAFETY: inside a home page, by the caller's check. Home pages are mapped as long as `self` lives
                 // and never change; see the crate's safety contract.
@@ -218,9 +227,8 @@ impl Paging {
     }
 
     /// The place of `page` among this node's own, as a page of the home's area.
-    fn home_index(&self, page: PageId) -> Option<PageId> {
-        let Config { placement, me, .. } = &self.config;
-        (placement.home(page) == Some(*me)).then(|| placement.home_index(page).map(PageId)).flatten()
+    fn held_index(&self, page: PageId) -> Option<PageId> {
+        self.config.placement.held_index(self.config.me, page).map(PageId)
     }
 
     /// `clock` learns from `soft` which slots were used, when a victim is about to be chosen.
@@ -266,8 +274,13 @@ impl Work<'_> {
         loop {
             match node.poll(&mut buffer) {
                 Output::Idle(_) => return,
-                Output::Transmit { to, .. } => self.request = Some((to, buffer)),
-                Output::Map { page, slot } => self.to_fill = Some((page, slot)),
+                Output::Transmit { to, .. } => {
+                    // One too many is a message lost: it is sent again when its time comes.
+                    let _ = self.requests.push((to, buffer));
+                }
+                Output::Map { page, slot, .. } => self.to_fill = Some((page, slot)),
+                // Grants of less than a page are refused: `Config::fragments` is not set.
+                Output::Store { .. } => debug_assert!(false, "a fragment that was not asked for"),
                 Output::Unmap { page, slot } => {
                     let pushed = self.victims.push((page, slot));
                     debug_assert!(pushed.is_ok(), "a batch is bounded");
@@ -283,14 +296,23 @@ impl Work<'_> {
 }
 
 impl LentStorage {
-    fn lend(page_count: u32, slot_count: u32) -> (Storage<'static>, Self) {
-        let pages = Box::into_raw(vec![PageEntry::EMPTY; page_count as usize].into_boxed_slice());
+    fn lend(placement: &Stripes, slot_count: u32) -> (Storage<'static>, Self) {
+        let owners = usize::from(placement.owner_count());
+        let pages = Box::into_raw(vec![PageEntry::EMPTY; placement.page_count() as usize].into_boxed_slice());
         let slots = Box::into_raw(vec![SlotEntry::EMPTY; slot_count as usize].into_boxed_slice());
+        let peers = Box::into_raw(vec![PeerEntry::EMPTY; owners].into_boxed_slice());
+        let requests = Box::into_raw(vec![RequestEntry::EMPTY; REQUESTS].into_boxed_slice());
         // SAFETY: just made, lent once, and given back by `drop` only after the node is gone.
         let lent_pages = unsafe { &mut *pages };
         // SAFETY: as above.
         let lent_slots = unsafe { &mut *slots };
-        (Storage { pages: lent_pages, slots: lent_slots }, Self { pages, slots })
+        // SAFETY: as above.
+        let lent_peers = unsafe { &mut *peers };
+        // SAFETY: as above.
+        let lent_requests = unsafe { &mut *requests };
+        let storage =
+            Storage { pages: lent_pages, slots: lent_slots, peers: lent_peers, requests: lent_requests };
+        (storage, Self { pages, slots, peers, requests })
     }
 }
 
@@ -300,6 +322,10 @@ impl Drop for LentStorage {
         drop(unsafe { Box::from_raw(self.pages) });
         // SAFETY: as above.
         drop(unsafe { Box::from_raw(self.slots) });
+        // SAFETY: as above.
+        drop(unsafe { Box::from_raw(self.peers) });
+        // SAFETY: as above.
+        drop(unsafe { Box::from_raw(self.requests) });
     }
 }
 

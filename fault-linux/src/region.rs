@@ -49,7 +49,8 @@ pub struct Setup {
     pub seed: u64,
     /// Pages of other nodes that may be resident at once.
     pub slot_count: u32,
-    /// The file with this node's own pages in the order of their home index, unless it owns none.
+    /// The file with this node's own pages, those it is home to and replicas, in the order of their held index, unless it
+    /// owns none.
     pub home: Option<OwnedFd>,
     /// The backend, or `None` for the best that the system does not refuse.
     pub backend: Option<BackendKind>,
@@ -239,7 +240,7 @@ impl Demand {
             page_count: placement.page_count(),
             page_bytes: setup.node.page_bytes as usize,
             slot_count: setup.slot_count,
-            home_stripes: placement.stripes_of(setup.node.me).count(),
+            home_stripes: placement.held_stripes_of(setup.node.me).count(),
             watches_touches: setup.policy == PolicyKind::Clock,
         }
     }
@@ -254,13 +255,13 @@ fn map_home(
 ) -> Result<Option<Area>, Errno> {
     let (placement, file) = (&config.placement, file.as_raw_fd());
     if let Backend::Soft(_) = backend {
-        let home = Area::reserve(placement.home_pages(config.me), area.page_bytes(), libc::PROT_READ)?;
+        let home = Area::reserve(placement.held_pages(config.me), area.page_bytes(), libc::PROT_READ)?;
         // SAFETY: the area was just made; the caller of `Region::new` vouches for the file.
         unsafe { sys::map_file_over(home.start(), home.bytes(), file, 0) }?;
         return Ok(Some(home));
     }
     let mut offset = 0;
-    for stripe in placement.stripes_of(config.me) {
+    for stripe in placement.held_stripes_of(config.me) {
         let (start, bytes) = area.span(&stripe);
         // SAFETY: the stripe lies in our area, and nobody reads it yet. The caller of `Region::new` vouches for the
         // file.

@@ -271,12 +271,15 @@ impl<T: Transport> Fetcher<T> {
         while let Some(deadline) = paging.next_timeout(page, self.port) {
             match self.transport.receive(deadline) {
                 Some(received) => {
-                    if let Some((arrived, slot)) = paging.handle_message(&received.header).to_fill {
+                    let work = paging.handle_message(&received.header);
+                    if let Some((arrived, slot)) = work.to_fill {
                         paging.fill(arrived, slot, received.body)?;
                         if arrived == page {
                             return Ok(true);
                         }
                     }
+                    // An owner refused: the next one is asked.
+                    self.send(&work);
                 }
                 None => {
                     let work = paging.handle_timeout(self.port);
@@ -288,7 +291,7 @@ impl<T: Transport> Fetcher<T> {
     }
 
     fn send(&mut self, work: &Work<'_>) {
-        if let Some((to, message)) = &work.request {
+        for (to, message) in &work.requests {
             // A message that cannot be sent is a message lost: it is sent again when its time comes.
             let _ = self.transport.send(*to, message);
         }

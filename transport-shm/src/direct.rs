@@ -10,13 +10,13 @@ use dsm_core::home::{Answer, Home};
 use dsm_core::id::NodeId;
 use dsm_core::time::Instant;
 use dsm_core::transport::{Body, Received, SendError, Transport};
-use dsm_core::wire::{HEADER_BYTES, Message};
+use dsm_core::wire::{self, HEADER_BYTES, Message};
 use rustix::fs::{MemfdFlags, SealFlags, fcntl_add_seals, ftruncate, memfd_create};
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 
 use crate::mapping::Mapping;
 
-/// The memory file that holds an owner's home pages, in the order of their home index.
+/// The memory file that holds an owner's home pages, in the order of their held index.
 ///
 /// Vanishes with the last process that holds it open. It cannot be cut short, so it may be mapped safely.
 #[derive(Debug)]
@@ -145,15 +145,26 @@ impl Transport for DirectPort {
         let route = self.routes.get_mut(owner)?.as_mut()?;
         let message = match answer {
             Answer::Refuse { message } => message,
-            Answer::Grant { message, home_index } => {
-                let offset = u64::from(home_index) * self.page.len() as u64;
-                match route.pages.file.read_exact_at(&mut self.page, offset) {
-                    Ok(()) => return Some(received(&message, Body::new(&self.page))),
+            Answer::Grant { message, held_index } => {
+                let (start, length) = granted(&message);
+                let offset = u64::from(held_index) * self.page.len() as u64 + start;
+                let length = length.min(self.page.len());
+                let page = &mut self.page[..length];
+                match route.pages.file.read_exact_at(page, offset) {
+                    Ok(()) => return Some(received(&message, Body::new(page))),
                     Err(_) => route.home.handle_unreadable(&message),
                 }
             }
         };
         Some(received(&message, Body::EMPTY))
+    }
+}
+
+/// Where in the page the bytes start that a message grants, and how many they are.
+pub(crate) const fn granted(message: &Message) -> (u64, usize) {
+    match message.body {
+        wire::Body::Grant { offset, bytes } => (offset as u64, bytes as usize),
+        wire::Body::Request { .. } | wire::Body::Refusal(_) => (0, 0),
     }
 }
 

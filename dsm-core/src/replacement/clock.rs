@@ -14,7 +14,7 @@ use crate::storage::SlotEntry;
 ///
 /// # Source
 /// Corbato, "A Paging Experiment with the Multics System", MIT Project MAC, 1968.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Clock {
     queue: Queue,
 }

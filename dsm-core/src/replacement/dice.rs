@@ -7,7 +7,7 @@ use crate::id::SlotId;
 use crate::storage::SlotEntry;
 
 /// Picks slots by chance. The same seed makes the same picks.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Dice {
     rng: Xoshiro128PlusPlus,
 }

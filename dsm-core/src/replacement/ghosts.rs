@@ -7,7 +7,7 @@ use crate::storage::{NONE, SlotEntry};
 /// A table of pages by hash, one place in each slot, in groups of [`WAYS`]. A page that is remembered takes the place in
 /// its group that was remembered longest ago, so one may be forgotten a little early; none is known longer than
 /// `slots.len()` others after it.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Ghosts {
     /// Pages remembered so far, wrapping. A page carries the number it was remembered under.
     count: u32,

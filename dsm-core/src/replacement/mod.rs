@@ -74,7 +74,7 @@ pub enum PolicyKind {
 }
 
 /// One of the policies, chosen at run time.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 #[expect(missing_docs, reason = "each variant is the policy of that name")]
 pub enum Policy {
     Random(Random),

@@ -4,7 +4,7 @@ use crate::id::SlotId;
 use crate::storage::{NONE, SlotEntry};
 
 /// A first-in first-out list of slots that also lets one go from its middle.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Queue {
     head: u32,
     tail: u32,

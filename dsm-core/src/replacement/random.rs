@@ -9,7 +9,7 @@ use crate::storage::SlotEntry;
 ///
 /// # Source
 /// DeMarle, Gribble, Parker, EGPGV 2004, sec. 3: "Currently a random page replacement policy is used".
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Random {
     dice: Dice,
 }

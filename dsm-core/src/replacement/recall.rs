@@ -20,7 +20,7 @@ use crate::storage::SlotEntry;
 /// Belady, "A study of replacement algorithms for a virtual-storage computer", IBM Systems Journal 5(2), 1966, with
 /// the last frame in place of the future. Throwing a few and keeping the best: Psounis and Prabhakar, "A randomized web-cache
 /// replacement scheme", INFOCOM 2001.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Recall {
     dice: Dice,
     /// The tile that is being drawn, counted over all frames; wraps.

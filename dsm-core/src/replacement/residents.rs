@@ -14,7 +14,7 @@ use crate::storage::SlotEntry;
 ///
 /// # Source
 /// Turner and Levy, "Segmented FIFO page replacement", SIGMETRICS 1981; VAX/VMS did so for want of reference bits.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Residents<R> {
     policy: R,
     hidden: Queue,

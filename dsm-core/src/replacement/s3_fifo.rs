@@ -17,7 +17,7 @@ use crate::storage::SlotEntry;
 /// Yang, Zhang, Qiu, Yue, Rashmi, "FIFO queues are all you need for cache eviction", SOSP 2023, algorithm 1.
 /// We differ: a page moves on to the main queue when it was used once, as in the authors' own library (their
 /// text says more than once), and the ghost queue is a table of four ways, so it forgets some pages early.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct S3Fifo {
     small: Queue,
     main: Queue,

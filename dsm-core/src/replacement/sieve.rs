@@ -17,7 +17,7 @@ use crate::storage::SlotEntry;
 /// # Source
 /// Zhang, Yang, Yue, Vigfusson, Rashmi, "SIEVE is Simpler than LRU: an Efficient Turn-Key Eviction Algorithm for Web
 /// Caches", NSDI 2024, algorithm 1.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Sieve {
     queue: Queue,
     /// The slot that the hand looks at next; `None` when it begins with the oldest.

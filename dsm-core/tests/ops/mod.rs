@@ -7,11 +7,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use dsm_core::home::{Answer, Home};
-use dsm_core::id::{NodeId, PageId, PortId, SlotId};
+use dsm_core::id::{Incarnation, NodeId, PageId, PortId, SlotId};
 use dsm_core::node::{Config, Fault, Node, Output};
 use dsm_core::placement::Stripes;
 use dsm_core::replacement::{Policy, PolicyKind};
-use dsm_core::storage::{PageEntry, SlotEntry, Storage};
+use dsm_core::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
 use dsm_core::time::Instant;
 use dsm_core::wire::{Body, HEADER_BYTES, Message};
 
@@ -202,11 +202,12 @@ impl World {
                     assert_eq!(len, HEADER_BYTES);
                     self.under_way.push(buffer);
                 }
-                Output::Map { page, slot } => member.work.push(Work::Fill { page, slot }),
+                Output::Map { page, slot, .. } => member.work.push(Work::Fill { page, slot }),
                 Output::Unmap { page, slot } => {
                     assert_eq!(member.visible.get(&page.0), Some(&slot.0), "a victim is visible until it is unmapped");
                     member.work.push(Work::Unmap { page });
                 }
+                Output::Store { .. } => panic!("fragments were not asked for"),
                 Output::WakePage { page } => woken.extend(member.waiters(|thread| {
                     matches!(thread, Thread::WaitingForPage { page: waited_for, .. } if waited_for == page)
                 })),
@@ -225,7 +226,7 @@ impl World {
         let Ok(message) = Message::parse(&bytes) else { return };
         let to = usize::from(message.to.0);
         let Some(member) = self.members.get_mut(to) else { return };
-        if message.body == Body::Request {
+        if let Body::Request { .. } = message.body {
             match member.home.handle_message(&bytes) {
                 Ok(Answer::Grant { message, .. } | Answer::Refuse { message }) => {
                     let mut answer = [0; HEADER_BYTES];
@@ -318,6 +319,8 @@ impl Member {
         let storage = Storage {
             pages: Box::leak(vec![PageEntry::EMPTY; usize::from(PAGES)].into_boxed_slice()),
             slots: Box::leak(vec![SlotEntry::EMPTY; usize::from(setup.slots)].into_boxed_slice()),
+            peers: Box::leak(vec![PeerEntry::EMPTY; usize::from(NODES)].into_boxed_slice()),
+            requests: Box::leak(vec![RequestEntry::EMPTY; 8].into_boxed_slice()),
         };
         let node = Node::new(config, storage, Policy::new(setup.policy, 1)).unwrap();
         let home = Home::new(me, config.cluster, config.epoch, placement, config.page_bytes);
@@ -354,7 +357,10 @@ fn request_for(page: PageId, me: NodeId) -> [u8; HEADER_BYTES] {
     let config = Config::new(me, Stripes::new(1, 1, NodeId(0), 1).unwrap(), 4096);
     let (cluster, epoch) = (config.cluster, config.epoch);
     let mut bytes = [0; HEADER_BYTES];
-    Message { cluster, epoch, from: me, to: me, page, request: 0, body: Body::Request }.emit(&mut bytes);
+    let (from_incarnation, to_incarnation) = (Incarnation(0), Incarnation(0));
+    let body = Body::REQUEST;
+    Message { cluster, epoch, from: me, to: me, from_incarnation, to_incarnation, page, request: 0, body }
+        .emit(&mut bytes);
     bytes
 }
 

@@ -1,0 +1,73 @@
+//! A node put aside, without the memory it works in.
+
+use heapless::Deque;
+
+use super::{Config, Node};
+use crate::membership::Membership;
+use crate::page_table::{Lists, PageTable};
+use crate::replacement::{Policy, Replacement};
+use crate::request::Requests;
+use crate::stats::NodeStats;
+use crate::storage::Storage;
+use crate::time::SteadyClock;
+
+/// A node between two inputs, without the memory it works in: with copies of both, a second node goes on from here.
+///
+/// This is how a model checker follows every path from one state, over the very functions that serve faults.
+#[derive(Clone, Debug)]
+pub struct Snapshot<R = Policy> {
+    config: Config,
+    lists: Lists,
+    request_count: usize,
+    is_even: bool,
+    replacement: R,
+    clock: SteadyClock,
+    slot_waited_for: bool,
+    next_number: u32,
+    stats: NodeStats,
+}
+
+impl<R: Replacement> Node<'_, R> {
+    /// Puts the node aside; the memory that it was lent is as it left it.
+    ///
+    /// # Panics
+    /// When there are outputs that have not been polled.
+    #[must_use]
+    pub fn into_snapshot(self) -> Snapshot<R> {
+        assert!(self.outbox.is_empty(), "one input, then poll until Idle");
+        Snapshot {
+            config: self.config,
+            lists: self.table.lists(),
+            request_count: self.requests.len(),
+            is_even: self.membership.is_even(),
+            replacement: self.replacement,
+            clock: self.clock,
+            slot_waited_for: self.slot_waited_for,
+            next_number: self.next_number,
+            stats: self.stats,
+        }
+    }
+}
+
+impl<R: Replacement> Snapshot<R> {
+    /// The node again, in the memory that it left or in a copy of it. Other memory makes it do anything but harm.
+    #[must_use]
+    pub fn resume(self, storage: Storage<'_>) -> Node<'_, R> {
+        let Storage { pages, slots, peers, requests } = storage;
+        let config = self.config;
+        let first_owner = config.placement.first_owner();
+        Node {
+            table: PageTable::resume(pages, slots, self.lists),
+            requests: Requests::new(requests, self.request_count),
+            membership: Membership::new(peers, first_owner, config.patience(), config.limits())
+                .with_evenness(self.is_even),
+            config,
+            replacement: self.replacement,
+            clock: self.clock,
+            outbox: Deque::new(),
+            slot_waited_for: self.slot_waited_for,
+            next_number: self.next_number,
+            stats: self.stats,
+        }
+    }
+}
