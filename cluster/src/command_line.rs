@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use anyhow::{Context, Result, bail};
 use clap::builder::styling::{AnsiColor, Styles};
 use clap::{Args, Parser, Subcommand};
-use dsm_core::replacement::PolicyKind;
+use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use fault_linux::BackendKind;
 use rt_core::Kernel;
 use rt_core::image::{PAGE_BYTES_MAX, PAGE_BYTES_MIN};
@@ -116,8 +116,12 @@ struct Cluster {
     #[arg(long, value_name = "NAME", default_value = "auto", value_parser = backend)]
     backend: Backend,
     /// Which page leaves for another: random, fifo, clock, sieve, s3-fifo or recall
-    #[arg(long, value_name = "NAME", default_value_t = PolicyKind::Random)]
+    #[arg(long, visible_alias = "replacement", value_name = "NAME", default_value_t = PolicyKind::Recall)]
     policy: PolicyKind,
+    /// How it learns which pages are used: hints, at the end of each tile; soft-faults, by hiding pages before they
+    /// leave; or none
+    #[arg(long, value_name = "NAME", default_value_t = ReferenceSource::Hints)]
+    reference: ReferenceSource,
     /// How tiles are drawn: auto, avx512, avx2, portable (beams with these instructions), or rays; all draw the same
     #[arg(long, value_name = "NAME", default_value = "auto", value_parser = kernel)]
     kernel: ChosenKernel,
@@ -293,6 +297,7 @@ impl Render {
             page_bytes: cluster.page,
             backend: cluster.backend.0,
             policy: cluster.policy,
+            reference: cluster.reference,
             kernel: cluster.kernel.0,
             transport: cluster.transport,
             size: view.size,

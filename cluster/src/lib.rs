@@ -10,7 +10,7 @@
 //! | [`run`] | a whole run: plan, start, frames, report |
 //! | `supervisor` | starts processes, watches them, gathers tiles, ends them |
 //! | `control`, `link` | what supervisor and nodes say to each other, and the socket it goes over |
-//! | `node`, `painter`, `ports` | a process of the cluster: its pages, its render threads, its ways to the others |
+//! | `node`, `painter`, `noted`, `ports` | a process of the cluster: its pages, its render threads and what they use, its ways to the others |
 //! | `scene_source` | where the scene comes from: a mesh, an image, a built-in scene |
 //! | [`trace`] | the pages that a session touches, recorded to compare replacement policies |
 //! | [`report`] | what a run prints and writes |
@@ -32,6 +32,7 @@ pub mod command_line;
 mod control;
 mod link;
 mod node;
+mod noted;
 mod output;
 mod painter;
 mod picture;

@@ -7,7 +7,7 @@ use std::thread::available_parallelism;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, bail};
-use dsm_core::replacement::PolicyKind;
+use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use fault_linux::BackendKind;
 use rt_core::camera::OrbitPlace;
 use rt_core::{Frame, Header, Kernel, Orbit};
@@ -47,6 +47,8 @@ pub struct Options {
     pub backend: Option<BackendKind>,
     /// Which page leaves.
     pub policy: PolicyKind,
+    /// How it learns which pages are used.
+    pub reference: ReferenceSource,
     /// How tiles are drawn; `None`: by the fastest kernel that the node's processor has.
     pub kernel: Option<Kernel>,
     /// How pages travel.
@@ -83,7 +85,8 @@ impl Default for Options {
             memory: None,
             page_bytes: None,
             backend: None,
-            policy: PolicyKind::Random,
+            policy: PolicyKind::Recall,
+            reference: ReferenceSource::Hints,
             kernel: None,
             transport: TransportKind::Shm,
             size: PictureSize { width: 512, height: 512 },
@@ -202,6 +205,7 @@ impl Run {
             binds_to_cores: self.binds_to_cores(options),
             backend: options.backend.map_or("auto", BackendKind::name).to_owned(),
             policy: options.policy.name().to_owned(),
+            reference: options.reference.name().to_owned(),
             kernel: options.kernel.map_or("auto", Kernel::name).to_owned(),
             transport: self.transport,
             spin_us: self.spin_us(),

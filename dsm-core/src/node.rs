@@ -242,6 +242,20 @@ impl<'s, R: Replacement> Node<'s, R> {
         }
     }
 
+    /// The driver expects `page` to be used next at tile `next_use`. Without effect unless it is resident.
+    pub fn handle_forecast(&mut self, page: PageId, next_use: u32) {
+        if self.table.state(page) == Some(PageState::Resident)
+            && let Some(slot) = self.table.slot(page)
+        {
+            self.replacement.handle_forecast(self.table.slots_mut(), slot, next_use);
+        }
+    }
+
+    /// Tile `now` is being drawn, and the next frame begins with tile `frame_end`, in the count of all tiles.
+    pub fn handle_clock(&mut self, now: u32, frame_end: u32) {
+        self.replacement.handle_clock(now, frame_end);
+    }
+
     /// Time has passed for the requests that left through `port`. Early or repeated calls do nothing.
     ///
     /// Requests whose peer has died are due at once.

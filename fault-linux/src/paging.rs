@@ -9,7 +9,7 @@ use dsm_core::id::{NodeId, PageId, PortId, SlotId};
 use dsm_core::node::{Config, ConfigError, EVICT_BATCH_MAX, Fault, Node, Output};
 use dsm_core::page_state::PageState;
 use dsm_core::placement::Stripes;
-use dsm_core::replacement::{Policy, PolicyKind};
+use dsm_core::replacement::{Policy, PolicyKind, ReferenceSource};
 use dsm_core::stats::NodeStats;
 use dsm_core::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
 use dsm_core::time::Instant;
@@ -19,6 +19,7 @@ use dsm_core::wire::HEADER_BYTES;
 use crate::area::Area;
 use crate::backend::{Backend, Record};
 use crate::failure::{PageFailure, Reason};
+use crate::foresight::Foresight;
 use crate::lock::{Guard, Lock};
 use crate::sys::{self, Errno};
 use crate::words::{Ticket, Words};
@@ -31,7 +32,9 @@ pub(crate) struct Paging {
     /// The home pages, for a backend that does not map them into the area.
     home: Option<Area>,
     config: Config,
-    policy: PolicyKind,
+    reference: ReferenceSource,
+    /// For policies that are told by hints. Locked before the node.
+    foresight: Option<Lock<Foresight>>,
     /// Declared, and so dropped, before the storage it works in.
     node: Lock<Node<'static>>,
     _storage: LentStorage,
@@ -86,16 +89,20 @@ impl Paging {
         config: Config,
         slot_count: u32,
         policy: (PolicyKind, u64),
+        reference: ReferenceSource,
     ) -> Result<Self, ConfigError> {
         let config = with_watermarks(config, slot_count);
         let (storage, lent) = LentStorage::lend(&config.placement, slot_count);
         let node = Node::new(config, storage, Policy::new(policy.0, policy.1))?;
+        let is_told = reference == ReferenceSource::Hints && slot_count > 0;
+        let foresight = is_told.then(|| Lock::new(Foresight::new(config.placement.page_count())));
         Ok(Self {
             area,
             backend,
             home,
             config,
-            policy: policy.0,
+            reference,
+            foresight,
             node: Lock::new(node),
             _storage: lent,
             words: Words::new(),
@@ -117,6 +124,34 @@ impl Paging {
 
     pub(crate) fn slot_count(&self) -> u32 {
         self.node.lock().table().slot_count()
+    }
+
+    pub(crate) const fn reference(&self) -> ReferenceSource {
+        self.reference
+    }
+
+    /// A frame begins, and this node draws these tiles, in this order.
+    pub(crate) fn begin_frame(&self, order: &[u32]) {
+        if let Some(foresight) = &self.foresight {
+            foresight.lock().begin_frame(order, &mut self.node.lock());
+        }
+    }
+
+    /// A thread begins to draw a tile.
+    pub(crate) fn begin_tile(&self, tile: u32) {
+        if let Some(foresight) = &self.foresight {
+            foresight.lock().begin_tile(tile, &mut self.node.lock());
+        }
+    }
+
+    /// A thread has drawn a tile and used these pages, each given once.
+    pub(crate) fn end_tile(&self, tile: u32, pages: &[PageId]) {
+        if let Some(foresight) = &self.foresight {
+            let mut foresight = foresight.lock();
+            let mut node = self.node.lock();
+            pages.iter().for_each(|page| node.handle_reference(*page));
+            foresight.end_tile(tile, pages, &mut node);
+        }
     }
 
     /// When the request for `page`, which left through `port`, wants to be looked after; `None` when it is no more
@@ -231,10 +266,10 @@ impl Paging {
         self.config.placement.held_index(self.config.me, page).map(PageId)
     }
 
-    /// `clock` learns from `soft` which slots were used, when a victim is about to be chosen.
+    /// A policy learns from `soft` which slots were used, when a victim is about to be chosen.
     fn pass_on_touches(&self, node: &mut Node<'static>) {
         let Backend::Soft(soft) = &self.backend else { return };
-        if self.policy == PolicyKind::Clock && node.table().free_count() == 0 {
+        if self.reference == ReferenceSource::SoftFaults && node.table().free_count() == 0 {
             for slot in soft.take_touched() {
                 if let Some(page) = node.table().page_in(slot) {
                     node.handle_reference(page);

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use dsm_core::id::{PageId, PortId};
 use dsm_core::node;
-use dsm_core::replacement::PolicyKind;
+use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use dsm_core::stats::NodeStats;
 
 use crate::area::Area;
@@ -45,7 +45,9 @@ pub struct Setup {
     pub node: node::Config,
     /// Which page leaves when a slot is needed.
     pub policy: PolicyKind,
-    /// Makes `random` repeatable.
+    /// How it learns which pages are used.
+    pub reference: ReferenceSource,
+    /// Makes what is random repeatable.
     pub seed: u64,
     /// Pages of other nodes that may be resident at once.
     pub slot_count: u32,
@@ -100,8 +102,8 @@ impl Region {
             }
             None => None,
         };
-        let policy = (setup.policy, setup.seed);
-        let paging = Paging::new(area, backend, home, setup.node, slot_count, policy);
+        let (policy, reference) = ((setup.policy, setup.seed), backend.reference(setup.reference));
+        let paging = Paging::new(area, backend, home, setup.node, slot_count, policy, reference);
         Self::assemble(Kind::Paged(Box::new(paging.map_err(RegionError::Config)?)), choice)
     }
 
@@ -149,6 +151,20 @@ impl Region {
     #[must_use]
     pub fn slot_count(&self) -> u32 {
         self.paging().map_or(0, Paging::slot_count)
+    }
+
+    /// How the policy learns which pages are used: what was asked for, or what comes closest with this backend.
+    #[must_use]
+    pub fn reference(&self) -> ReferenceSource {
+        self.paging().map_or(ReferenceSource::Nothing, Paging::reference)
+    }
+
+    /// A frame begins, and this node draws these tiles, in this order. For hints; see
+    /// [`Attached::begin_tile`](crate::Attached::begin_tile).
+    pub fn begin_frame(&self, order: &[u32]) {
+        if let Some(paging) = self.paging() {
+            paging.begin_frame(order);
+        }
     }
 
     /// Length of a page in bytes.
@@ -241,7 +257,7 @@ impl Demand {
             page_bytes: setup.node.page_bytes as usize,
             slot_count: setup.slot_count,
             home_stripes: placement.held_stripes_of(setup.node.me).count(),
-            watches_touches: setup.policy == PolicyKind::Clock,
+            watches_touches: setup.reference == ReferenceSource::SoftFaults,
         }
     }
 }

@@ -128,6 +128,24 @@ impl<T: Transport> Attached<T> {
         self.check()
     }
 
+    /// This thread begins to draw a tile of the frame that [`Region::begin_frame`] has announced.
+    ///
+    /// Tiles are numbered as the caller likes, the same in each frame. What it says here and at the end of the tile tells the
+    /// policy which pages are used, and what the last frame foretells of this one. It costs some ten nanoseconds a page of
+    /// the tile, and may be left out.
+    pub fn begin_tile(&self, tile: u32) {
+        if let Some(paging) = self.region.paging() {
+            paging.begin_tile(tile);
+        }
+    }
+
+    /// This thread has drawn a tile and used these pages, each given once.
+    pub fn end_tile(&self, tile: u32, pages: &[PageId]) {
+        if let Some(paging) = self.region.paging() {
+            paging.end_tile(tile, pages);
+        }
+    }
+
     /// Tells whether every byte read so far was the scene's. A page that could not be had reads as zeros.
     ///
     /// Call it before anything made of what was read leaves the process. One failed page spoils the whole region.

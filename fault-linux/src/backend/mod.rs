@@ -13,6 +13,7 @@ use core::fmt;
 use core::str::FromStr;
 
 use dsm_core::id::{PageId, SlotId};
+use dsm_core::replacement::ReferenceSource;
 use dsm_core::transport::Body;
 
 use crate::area::Area;
@@ -74,6 +75,15 @@ impl Backend {
             Self::Segv(segv) => segv.give_zeros(area, page),
             // Nobody waits inside a load: the reader is told.
             Self::Soft(_) => Ok(()),
+        }
+    }
+
+    /// What this backend can do of a source of reference bits.
+    pub(crate) const fn reference(&self, wanted: ReferenceSource) -> ReferenceSource {
+        match (self, wanted) {
+            // A page can be hidden from its readers only by splitting the one mapping that makes this backend fast.
+            (Self::Uffd(_), ReferenceSource::SoftFaults) => ReferenceSource::Hints,
+            _ => wanted,
         }
     }
 
