@@ -11,7 +11,7 @@ use crate::stats::HomeStats;
 use crate::wire::{Body, Message, ParseError, Refusal};
 
 /// Answers requests for the pages that this node holds, as their home or as a replica.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Home {
     me: NodeId,
     cluster: ClusterId,

@@ -1,5 +1,7 @@
 //! Which owners are alive, as far as this node can tell, and how far away they are.
 
+use core::hash::{Hash, Hasher};
+
 use crate::id::{Incarnation, NodeId};
 use crate::mutants::{self, Mutant};
 use crate::round_trip::{BACKOFF_MAX, Limits, RoundTrip};
@@ -110,6 +112,24 @@ impl<'s> Membership<'s> {
         Self { is_uneven: !is_even, ..self }
     }
 
+    /// Feeds a hash with what is known of every peer, times as distances from `now` and no finer than they matter.
+    pub(crate) fn fingerprint(&self, now: Instant, hasher: &mut impl Hasher) {
+        let patience = self.patience;
+        let is_adaptive = self.limits.min_us < self.limits.max_us;
+        for peer in self.peers.iter() {
+            let silent_us = peer.silent_since.map(|since| now.since(since).min(patience.dead_after_us));
+            let probed_us = now.since(peer.probed_at).min(patience.suspect_after_us);
+            (silent_us, peer.unanswered.min(UNANSWERED_BEFORE_DEATH), peer.liveness).hash(hasher);
+            (peer.incarnation, peer.cost).hash(hasher);
+            if peer.liveness == Liveness::Suspected {
+                probed_us.hash(hasher);
+            }
+            if is_adaptive {
+                (peer.round_trip, peer.backoff).hash(hasher);
+            }
+        }
+    }
+
     /// Says whether a message that claims to be of this incarnation of `node` can be believed; it changes nothing.
     pub(crate) fn trusts(&self, node: NodeId, incarnation: Incarnation) -> Result<(), Distrust> {
         let Some(peer) = self.peer(node) else { return Ok(()) };
@@ -149,12 +169,12 @@ impl<'s> Membership<'s> {
         }
     }
 
-    /// A request to `node` was not answered in time for the `attempt`-th time: the next waits twice as long, however
-    /// many requests find out at once. Looks at how long it has been silent.
-    pub(crate) fn timed_out(&mut self, now: Instant, node: NodeId, attempt: u8) {
+    /// A request to `node` was not answered in a time that had been doubled `backoff` times: the next waits twice as
+    /// long, however many requests find out at once. Looks at how long the node has been silent.
+    pub(crate) fn timed_out(&mut self, now: Instant, node: NodeId, backoff: u8) {
         let patience = self.patience;
         let Some(peer) = self.peer_mut(node) else { return };
-        peer.backoff = peer.backoff.max(attempt).min(BACKOFF_MAX);
+        peer.backoff = peer.backoff.max(backoff + 1).min(BACKOFF_MAX);
         let silent_us = peer.silent_since.map_or(0, |since| now.since(since));
         let is_ignored = peer.unanswered >= UNANSWERED_BEFORE_DEATH;
         let liveness = if silent_us >= patience.dead_after_us && is_ignored {
@@ -218,6 +238,11 @@ impl<'s> Membership<'s> {
             .map_or(self.limits.first_us, |peer| peer.round_trip.timeout_us(self.limits, peer.backoff))
     }
 
+    /// Times that the next timeout of `node` is doubled.
+    pub(crate) fn backoff(&self, node: NodeId) -> u8 {
+        self.peer(node).map_or(0, |peer| peer.backoff)
+    }
+
     pub(crate) fn round_trip_us(&self, node: NodeId) -> Option<u64> {
         self.peer(node)?.round_trip.smoothed_us()
     }
@@ -249,9 +274,9 @@ mod tests {
     }
 
     fn ask_in_vain(membership: &mut Membership<'_>, times: u8, until: u64) -> Liveness {
-        for attempt in 0..times {
+        for backoff in 0..times {
             membership.sent(at(0), PEER);
-            membership.timed_out(at(until), PEER, attempt);
+            membership.timed_out(at(until), PEER, backoff);
         }
         membership.liveness(PEER)
     }
@@ -295,9 +320,9 @@ mod tests {
     #[test]
     fn timeouts_double_until_something_sent_once_is_answered() {
         with_membership(|mut membership| {
-            for attempt in 1..4 {
-                membership.timed_out(at(0), PEER, attempt);
-                membership.timed_out(at(0), PEER, attempt);
+            for backoff in 0..3 {
+                membership.timed_out(at(0), PEER, backoff);
+                membership.timed_out(at(0), PEER, backoff);
             }
             assert_eq!(membership.timeout_us(PEER), 80);
             membership.measured(PEER, 20);
@@ -310,7 +335,7 @@ mod tests {
         with_membership(|mut membership| {
             for node in [NodeId(0), NodeId(4), NodeId(u16::MAX)] {
                 membership.sent(at(0), node);
-                membership.timed_out(at(1000), node, 1);
+                membership.timed_out(at(1000), node, 0);
                 assert!(!membership.heard(node, Incarnation(9)) && !membership.bury(node));
                 assert_eq!((membership.liveness(node), membership.timeout_us(node)), (Liveness::Alive, 10));
             }

@@ -445,6 +445,11 @@ impl<'s, R: Replacement> Node<'s, R> {
         if self.table.take_waited_for(page) && !mutants::is_on(Mutant::WakeNobody) {
             self.push(Pending::Done(Output::WakePage { page }));
         }
+        self.wake_slots();
+    }
+
+    /// Wakes whoever waits for a slot, or for a request to ask for a page with.
+    fn wake_slots(&mut self) {
         if core::mem::take(&mut self.slot_waited_for) && !mutants::is_on(Mutant::WakeNoSlotWaiter) {
             self.push(Pending::Done(Output::WakeSlots));
         }

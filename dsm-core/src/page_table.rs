@@ -1,6 +1,7 @@
 //! The state of every page, and the slots that pages lie in.
 
 use core::fmt;
+use core::hash::{Hash, Hasher};
 
 use crate::failure::Failure;
 use crate::id::{NodeId, PageId, SlotId};
@@ -103,6 +104,13 @@ impl<'s> PageTable<'s> {
 
     pub(crate) fn lists(&self) -> Lists {
         self.lists
+    }
+
+    /// Feeds a hash with the state of every page and slot.
+    pub(crate) fn fingerprint(&self, hasher: &mut impl Hasher) {
+        self.pages.hash(hasher);
+        self.slots.hash(hasher);
+        self.lists.free_head.hash(hasher);
     }
 
     /// Moves `page` along the transition table and keeps the slots consistent with its new state.

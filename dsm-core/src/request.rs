@@ -1,10 +1,12 @@
 //! What a node has asked for and not yet been answered.
 
+use core::hash::{Hash, Hasher};
+
 use crate::fragments::Fragments;
 use crate::id::{NodeId, PageId, PortId};
 use crate::time::Instant;
 
-/// What a node knows of one request under way, in 72 bytes. Opaque; start with [`RequestEntry::EMPTY`].
+/// What a node knows of one request under way, in 80 bytes. Opaque; start with [`RequestEntry::EMPTY`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct RequestEntry {
     pub(crate) page: PageId,
@@ -17,10 +19,14 @@ pub struct RequestEntry {
     pub(crate) sendings: u8,
     /// Of those, sendings to `holder` since it was its turn.
     pub(crate) tries: u8,
+    /// Doublings of the timeout of the last sending.
+    pub(crate) backoff: u8,
     /// The copies, by their place among the holders of the page, that have had their turn.
     pub(crate) asked: u8,
     /// The copies that have refused.
     pub(crate) refused: u8,
+    /// The peer that was asked has died or is a new node: due at once, and no timeout.
+    pub(crate) is_orphan: bool,
     /// An answer has come, so the round trip is known.
     pub(crate) is_measured: bool,
     /// When it was sent first.
@@ -53,8 +59,10 @@ impl RequestEntry {
         port: PortId(0),
         sendings: 0,
         tries: 0,
+        backoff: 0,
         asked: 0,
         refused: 0,
+        is_orphan: false,
         is_measured: false,
         sent_at: Instant::ZERO,
         resend_at: Instant::ZERO,
@@ -64,6 +72,14 @@ impl RequestEntry {
 
     pub(crate) fn next_event(&self) -> Instant {
         self.resend_at.min(self.deadline)
+    }
+
+    /// Feeds a hash with all of it but its number, times as distances from `now`.
+    pub(crate) fn fingerprint(&self, now: Instant, hasher: &mut impl Hasher) {
+        (self.page, self.holder, self.port).hash(hasher);
+        (self.sendings.min(2), self.tries, self.asked, self.refused).hash(hasher);
+        (self.is_orphan, self.fragments).hash(hasher);
+        (self.resend_at.since(now), self.deadline.since(now)).hash(hasher);
     }
 }
 
@@ -136,8 +152,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_request_costs_72_bytes() {
-        assert_eq!(size_of::<RequestEntry>(), 72);
+    fn a_request_costs_80_bytes() {
+        assert_eq!(size_of::<RequestEntry>(), 80);
     }
 
     #[test]

@@ -110,7 +110,7 @@ impl<R: Replacement> Node<'_, R> {
         };
         self.measure(now, index, from);
         match body {
-            Body::Grant { offset, bytes } => self.take_bytes(now, index, offset, bytes),
+            Body::Grant { .. } => self.take_bytes(now, index, &message),
             Body::Refusal(why) => {
                 self.refused(now, index, from, Failure::Refused { by: from, why });
                 Ok(())
@@ -131,13 +131,9 @@ impl<R: Replacement> Node<'_, R> {
     }
 
     /// Bytes of a page have come: all, or some.
-    fn take_bytes(
-        &mut self,
-        now: Instant,
-        index: usize,
-        offset: u32,
-        bytes: u32,
-    ) -> Result<(), MessageError> {
+    fn take_bytes(&mut self, now: Instant, index: usize, message: &Message) -> Result<(), MessageError> {
+        let Message { from, body, .. } = *message;
+        let Body::Grant { offset, bytes } = body else { return Err(MessageError::Request) };
         let page_bytes = self.config.page_bytes;
         let request = self.requests.get_mut(index);
         let page = request.page;
@@ -147,8 +143,10 @@ impl<R: Replacement> Node<'_, R> {
             return Ok(());
         }
         let added = request.fragments.add(page_bytes, offset, bytes);
-        // It is on its way: what is missing may be asked for again a whole round trip from now.
-        request.resend_at = now.after(self.membership.timeout_us(request.holder));
+        if request.holder == from {
+            // It is on its way: what is missing may be asked for again a whole round trip from now.
+            request.resend_at = now.after(self.membership.timeout_us(from));
+        }
         if added == Added::Nothing {
             return Err(MessageError::Late(page));
         }
@@ -165,6 +163,7 @@ impl<R: Replacement> Node<'_, R> {
 
     /// All of a page is here: its request has done its work.
     fn take_page(&mut self, index: usize, bytes: PageBytes) {
+        let was_full = self.requests.is_full();
         let page = self.requests.remove(index).page;
         if let (Effect::Map, Some(slot)) = (self.apply(page, PageEvent::Grant), self.table.slot(page)) {
             self.stats.fetched_pages += 1;
@@ -173,6 +172,9 @@ impl<R: Replacement> Node<'_, R> {
                 self.apply(page, PageEvent::Filled);
                 self.replacement.handle_resident(self.table.slots_mut(), slot);
             }
+        }
+        if was_full {
+            self.wake_slots();
         }
     }
 

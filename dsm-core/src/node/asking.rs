@@ -40,21 +40,21 @@ impl<R: Replacement> Node<'_, R> {
             request.resend_at = request.deadline;
             return;
         }
-        let (tries, before) = (request.tries, self.membership.liveness(holder));
-        if before != Liveness::Dead {
-            self.membership.timed_out(now, holder, tries);
+        let RequestEntry { tries, backoff, is_orphan, .. } = *request;
+        if !is_orphan {
+            self.membership.timed_out(now, holder, backoff);
         }
         match self.membership.liveness(holder) {
-            Liveness::Dead if before != Liveness::Dead => {
+            Liveness::Alive if !is_orphan && tries < self.config.tries => {
+                self.stats.resends += 1;
+                self.send(now, index);
+            }
+            Liveness::Dead if !is_orphan => {
                 self.stats.dead_peers += 1;
                 self.make_due(now, holder);
                 self.ask_next(now, index, None);
             }
-            Liveness::Alive if tries < self.config.tries => {
-                self.stats.resends += 1;
-                self.send(now, index);
-            }
-            _ => self.ask_next(now, index, None),
+            Liveness::Alive | Liveness::Suspected | Liveness::Dead => self.ask_next(now, index, None),
         }
     }
 
@@ -80,6 +80,7 @@ impl<R: Replacement> Node<'_, R> {
         }
         for request in self.requests.iter_mut().filter(|request| request.holder == node) {
             request.resend_at = now;
+            request.is_orphan = true;
         }
     }
 
@@ -147,8 +148,22 @@ impl<R: Replacement> Node<'_, R> {
         let holder = request.holder;
         request.sendings = request.sendings.saturating_add(1);
         request.tries = request.tries.saturating_add(1);
-        request.resend_at = now.after(self.membership.timeout_us(holder));
+        request.backoff = self.membership.backoff(holder);
+        request.is_orphan = false;
+        let wait_us = self.membership.timeout_us(holder).min(self.share_us(now, index));
+        self.requests.get_mut(index).resend_at = now.after(wait_us);
         self.transmit(now, index, holder);
+    }
+
+    /// How long this sending may wait so that all others of the first round through the copies get as long before the
+    /// deadline. A slow peer, or one whose round trip was taken wrong, must not keep the others from being asked.
+    fn share_us(&mut self, now: Instant, index: usize) -> u64 {
+        let RequestEntry { sendings, deadline, .. } = *self.requests.get_mut(index);
+        let round = u64::from(self.config.placement.replicas()) * u64::from(self.config.tries);
+        match round.saturating_sub(u64::from(sendings)) {
+            0 => u64::MAX,
+            left => deadline.since(now) / (left + 1),
+        }
     }
 
     fn transmit(&mut self, now: Instant, index: usize, to: NodeId) {

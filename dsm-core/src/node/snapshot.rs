@@ -1,15 +1,18 @@
 //! A node put aside, without the memory it works in.
 
+use core::hash::{Hash, Hasher};
+
 use heapless::Deque;
 
 use super::{Config, Node};
+use crate::id::PageId;
 use crate::membership::Membership;
 use crate::page_table::{Lists, PageTable};
 use crate::replacement::{Policy, Replacement};
 use crate::request::Requests;
 use crate::stats::NodeStats;
 use crate::storage::Storage;
-use crate::time::SteadyClock;
+use crate::time::{Instant, SteadyClock};
 
 /// A node between two inputs, without the memory it works in: with copies of both, a second node goes on from here.
 ///
@@ -49,6 +52,14 @@ impl<R: Replacement> Node<'_, R> {
     }
 }
 
+impl<R> Snapshot<R> {
+    /// What the node has counted so far.
+    #[must_use]
+    pub const fn stats(&self) -> NodeStats {
+        self.stats
+    }
+}
+
 impl<R: Replacement> Snapshot<R> {
     /// The node again, in the memory that it left or in a copy of it. Other memory makes it do anything but harm.
     #[must_use]
@@ -68,6 +79,27 @@ impl<R: Replacement> Snapshot<R> {
             slot_waited_for: self.slot_waited_for,
             next_number: self.next_number,
             stats: self.stats,
+        }
+    }
+}
+
+impl<R: Replacement> Node<'_, R> {
+    /// Feeds a hash with all that decides what this node will do from `now` on: two nodes of the same configuration and
+    /// policy that feed it alike behave alike.
+    ///
+    /// Times go in as distances from now, requests without their numbers; what was counted does not, nor what only makes a
+    /// difference to a time whose bounds leave no choice. So a model that returns to where it was finds that it did. The
+    /// order that a policy keeps outside the slots does not go in either; with one slot there is none.
+    pub fn fingerprint(&self, now: Instant, hasher: &mut impl Hasher) {
+        let mut clock = self.clock;
+        let now = clock.advance(now);
+        self.table.fingerprint(hasher);
+        self.slot_waited_for.hash(hasher);
+        self.membership.fingerprint(now, hasher);
+        for page in (0..self.table.page_count()).map(PageId) {
+            if let Some(request) = self.requests.iter().find(|request| request.page == page) {
+                request.fingerprint(now, hasher);
+            }
         }
     }
 }
