@@ -11,6 +11,10 @@ pub struct NodeStats {
     pub ready_faults: u64,
     /// Faults that had to wait because every slot was on its way in or out.
     pub full_faults: u64,
+    /// Faults that found the page hidden: it was shown, and no message was sent.
+    pub soft_faults: u64,
+    /// Pages that were hidden.
+    pub hidden_pages: u64,
     /// Requests begun, one for each page fetched.
     pub requests: u64,
     /// Requests sent again because no answer came in time.

@@ -21,7 +21,7 @@ pub struct Storage<'s> {
 
 /// What a node knows of one page, in 4 bytes. Opaque; start with [`PageEntry::EMPTY`].
 ///
-/// Bits 0..3 the state, bit 3 "somebody waits", bits 4..32 the slot.
+/// Bits 0..4 the state, bit 4 "somebody waits", bits 5..32 the slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct PageEntry(u32);
 
@@ -50,11 +50,11 @@ pub struct SlotEntry {
 pub(crate) const NONE: u32 = u32::MAX;
 
 /// Slots that a node can have at most: what fits the entry of a page.
-pub const SLOTS_MAX: u32 = (1 << 28) - 1;
+pub const SLOTS_MAX: u32 = (1 << 27) - 1;
 
-const STATE_MASK: u32 = 0b111;
-const WAITED_FOR: u32 = 0b1000;
-const SLOT_SHIFT: u32 = 4;
+const STATE_MASK: u32 = 0b1111;
+const WAITED_FOR: u32 = 0b1_0000;
+const SLOT_SHIFT: u32 = 5;
 
 impl PageEntry {
     /// A page that is absent and that nobody waits for.

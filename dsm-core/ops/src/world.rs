@@ -39,6 +39,8 @@ pub struct Setup {
     pub evict_batch: u8,
     /// See [`Config::evict_ahead`].
     pub evict_ahead: u8,
+    /// See [`Config::hidden_max`]; less than the slots.
+    pub hidden: u8,
     /// Parts in which pages travel; 1 for whole pages.
     pub fragments: u8,
     /// Sendings to one copy before the next is asked.
@@ -122,6 +124,7 @@ impl Setup {
         policy: PolicyKind::Fifo,
         evict_batch: 1,
         evict_ahead: 0,
+        hidden: 0,
         fragments: 1,
         tries: 2,
         is_rigid: false,
@@ -140,6 +143,7 @@ impl Setup {
             incarnation,
             evict_batch: self.evict_batch.into(),
             evict_ahead: self.evict_ahead.into(),
+            hidden_max: self.hidden.into(),
             fragments: self.fragments > 1,
             resend_us: RESEND_US,
             resend_us_min: RESEND_US,
@@ -387,7 +391,7 @@ impl World {
         match answer {
             Fault::Ready => self.served += 1,
             Fault::Failed(_) => self.failed += 1,
-            Fault::Fetch | Fault::Wait | Fault::Full => {}
+            Fault::Fetch | Fault::Show | Fault::Wait | Fault::Full => {}
         }
         let wait = again.unwrap_or(Wait { page, since: now, world_since: world_now });
         member.settle(thread, answer, wait);
@@ -703,7 +707,12 @@ impl World {
                             let state = node.table().state(wait.page);
                             let is_coming = matches!(
                                 state,
-                                Some(PageState::Requested | PageState::Filling | PageState::Leaving)
+                                Some(
+                                    PageState::Requested
+                                        | PageState::Filling
+                                        | PageState::Leaving
+                                        | PageState::Hiding
+                                )
                             );
                             assert!(is_coming, "NO_LOST_WAITER: for {}, which is {state:?}", wait.page);
                         }

@@ -170,7 +170,7 @@ impl<R: Replacement> Node<'_, R> {
             self.push(Pending::Done(Output::Map { page, slot, bytes }));
             if mutants::is_on(Mutant::EvictInUse) {
                 self.apply(page, PageEvent::Filled);
-                self.replacement.handle_resident(self.table.slots_mut(), slot);
+                self.residents.handle_resident(self.table.slots_mut(), slot);
             }
         }
         if was_full {

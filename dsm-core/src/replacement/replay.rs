@@ -51,6 +51,7 @@ impl<'s, R: Replacement> Replay<'s, R> {
             slot if self.slots[slot as usize].evictable => Touch::Hit,
             slot => {
                 self.residents.handle_shown(self.slots, SlotId(slot));
+                self.residents.handle_resident(self.slots, SlotId(slot));
                 self.slots[slot as usize].evictable = true;
                 self.hide();
                 Touch::SoftFault
@@ -62,7 +63,7 @@ impl<'s, R: Replacement> Replay<'s, R> {
     pub fn hint(&mut self, page: PageId) {
         let slot = self.slot_of[page.index()];
         if slot != NONE && self.slots[slot as usize].evictable {
-            self.residents.handle_reference(self.slots, SlotId(slot));
+            self.residents.policy_mut().handle_reference(self.slots, SlotId(slot));
         }
     }
 
@@ -135,6 +136,7 @@ impl<'s, R: Replacement> Replay<'s, R> {
         }
         while let Some(slot) = self.residents.choose_to_hide(self.slots) {
             self.slots[slot.index()].evictable = false;
+            self.residents.handle_hidden(self.slots, slot);
         }
     }
 }

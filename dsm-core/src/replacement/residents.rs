@@ -17,43 +17,46 @@ use crate::storage::SlotEntry;
 #[derive(Clone, Debug)]
 pub struct Residents<R> {
     policy: R,
+    /// Hidden pages, the one that was hidden first at the head.
     hidden: Queue,
+    /// Pages that are being hidden.
+    hiding: u32,
     hidden_max: u32,
 }
 
 impl<R: Replacement> Residents<R> {
     /// Knows of no page yet. Keeps at most `hidden_max` pages hidden; 0: a page that is chosen leaves at once.
     pub const fn new(policy: R, hidden_max: u32) -> Self {
-        Self { policy, hidden: Queue::new(), hidden_max }
+        Self { policy, hidden: Queue::new(), hiding: 0, hidden_max }
     }
 
-    /// A page has just become resident in `slot`.
+    /// A page has just become visible in `slot`: it came, or it was hidden and was touched.
     pub fn handle_resident(&mut self, slots: &mut [SlotEntry], slot: SlotId) {
         self.policy.handle_resident(slots, slot);
     }
 
-    /// The page in `slot`, which is not hidden, is known to have been used.
-    pub fn handle_reference(&mut self, slots: &mut [SlotEntry], slot: SlotId) {
-        self.policy.handle_reference(slots, slot);
+    /// The page in `slot`, which [`choose_to_hide`](Self::choose_to_hide) has chosen, is hidden now.
+    pub fn handle_hidden(&mut self, slots: &mut [SlotEntry], slot: SlotId) {
+        self.hiding -= 1;
+        self.hidden.push(slots, slot);
     }
 
-    /// The page in `slot`, which is hidden, was touched: it is no longer.
+    /// The page in `slot`, which is hidden, was touched: it will be visible again.
     pub fn handle_shown(&mut self, slots: &mut [SlotEntry], slot: SlotId) {
         self.hidden.remove(slots, slot);
-        self.policy.handle_resident(slots, slot);
     }
 
-    /// A page to hide, or `None` when enough are hidden or no other is resident.
+    /// A page to hide, or `None` when enough are hidden or no other is visible.
     pub fn choose_to_hide(&mut self, slots: &mut [SlotEntry]) -> Option<SlotId> {
-        if self.hidden.count() >= self.hidden_max {
+        if self.hidden.count() + self.hiding >= self.hidden_max {
             return None;
         }
         let slot = self.policy.choose_victim(slots)?;
-        self.hidden.push(slots, slot);
+        self.hiding += 1;
         Some(slot)
     }
 
-    /// The slot whose page is to leave, hidden or not, or `None` when no page is resident. Forgets the slot.
+    /// The slot whose page is to leave, hidden or not, or `None` when there is none. Forgets the slot.
     pub fn choose_victim(&mut self, slots: &mut [SlotEntry]) -> Option<SlotId> {
         self.hidden.pop(slots).or_else(|| self.policy.choose_victim(slots))
     }
