@@ -55,6 +55,7 @@ impl Space {
             node,
             policy,
             reference: ReferenceSource::Nothing,
+            hidden_per_cent: 0,
             seed,
             slot_count: slots,
             home: None,

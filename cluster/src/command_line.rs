@@ -21,7 +21,7 @@ use crate::control::{BindTo, TransportKind};
 use crate::output::{Destination, check_folder_of, write_whole};
 use crate::progress::StageBar;
 use crate::report::{RunReport, counted, thousands};
-use crate::run::{Options, Source, run};
+use crate::run::{HIDDEN_PER_CENT, Options, Source, run};
 use crate::scene_source::PAGE_BYTES_DEFAULT;
 use crate::size::{Bytes, Memory, PictureSize};
 use crate::trace::{self, Session, Trace};
@@ -122,6 +122,9 @@ struct Cluster {
     /// leave; or none
     #[arg(long, value_name = "NAME", default_value_t = ReferenceSource::Hints)]
     reference: ReferenceSource,
+    /// With soft-faults, how many per cent of the slots hold hidden pages
+    #[arg(long, value_name = "PERCENT", default_value_t = HIDDEN_PER_CENT, value_parser = clap::value_parser!(u32).range(1..=90))]
+    hidden: u32,
     /// How tiles are drawn: auto, avx512, avx2, portable (beams with these instructions), or rays; all draw the same
     #[arg(long, value_name = "NAME", default_value = "auto", value_parser = kernel)]
     kernel: ChosenKernel,
@@ -298,6 +301,7 @@ impl Render {
             backend: cluster.backend.0,
             policy: cluster.policy,
             reference: cluster.reference,
+            hidden_per_cent: cluster.hidden,
             kernel: cluster.kernel.0,
             transport: cluster.transport,
             size: view.size,

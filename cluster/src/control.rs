@@ -59,6 +59,7 @@ pub(crate) struct SetUp {
     pub(crate) policy: String,
     /// A source of reference bits by name.
     pub(crate) reference: String,
+    pub(crate) hidden_per_cent: u32,
     pub(crate) kernel: String,
     pub(crate) transport: TransportKind,
     pub(crate) spin_us: u64,

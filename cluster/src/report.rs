@@ -110,6 +110,9 @@ pub struct ProcessReport {
     pub received_bytes: u64,
     /// Pages that had to leave for them.
     pub evictions: u64,
+    /// Faults that found the page hidden and sent no message.
+    #[serde(default)]
+    pub soft_faults: u64,
     /// Requests sent again.
     pub resends: u64,
     /// Median time of a miss, from the fault to the page's presence, in microseconds.

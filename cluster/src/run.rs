@@ -49,6 +49,8 @@ pub struct Options {
     pub policy: PolicyKind,
     /// How it learns which pages are used.
     pub reference: ReferenceSource,
+    /// How many per cent of its slots hold hidden pages, where soft faults are the source.
+    pub hidden_per_cent: u32,
     /// How tiles are drawn; `None`: by the fastest kernel that the node's processor has.
     pub kernel: Option<Kernel>,
     /// How pages travel.
@@ -87,6 +89,7 @@ impl Default for Options {
             backend: None,
             policy: PolicyKind::Recall,
             reference: ReferenceSource::Hints,
+            hidden_per_cent: HIDDEN_PER_CENT,
             kernel: None,
             transport: TransportKind::Shm,
             size: PictureSize { width: 512, height: 512 },
@@ -206,6 +209,7 @@ impl Run {
             backend: options.backend.map_or("auto", BackendKind::name).to_owned(),
             policy: options.policy.name().to_owned(),
             reference: options.reference.name().to_owned(),
+            hidden_per_cent: options.hidden_per_cent,
             kernel: options.kernel.map_or("auto", Kernel::name).to_owned(),
             transport: self.transport,
             spin_us: self.spin_us(),
@@ -295,6 +299,9 @@ impl Drawing {
         }
     }
 }
+
+/// Slots that hold hidden pages, in per cent: more of them bring little and cost many soft faults.
+pub(crate) const HIDDEN_PER_CENT: u32 = 25;
 
 /// Threads that one region can serve.
 const THREADS_MAX: u16 = 256;

@@ -95,7 +95,8 @@ impl<'s> PageTable<'s> {
             *entry = SlotEntry { next: if slot == slot_count { NONE } else { slot }, ..SlotEntry::EMPTY };
         }
         let free_head = if slot_count == 0 { NONE } else { 0 };
-        let lists = Lists { free_head, free_count: slot_count, leaving_count: 0, resident_count: 0, hidden_count: 0 };
+        let lists =
+            Lists { free_head, free_count: slot_count, leaving_count: 0, resident_count: 0, hidden_count: 0 };
         Ok(Self { pages, slots, lists })
     }
 

@@ -6,7 +6,7 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use dsm_core::id::{NodeId, PageId, PortId, SlotId};
-use dsm_core::node::{Config, ConfigError, EVICT_BATCH_MAX, Fault, Node, Output};
+use dsm_core::node::{Config, ConfigError, EVICT_BATCH_MAX, Fault, Node, OUTBOX, Output};
 use dsm_core::page_state::PageState;
 use dsm_core::placement::Stripes;
 use dsm_core::replacement::{Policy, PolicyKind, ReferenceSource};
@@ -50,6 +50,7 @@ pub(crate) struct Work<'a> {
     /// A page that arrived, and its slot.
     pub(crate) to_fill: Option<(PageId, SlotId)>,
     victims: heapless::Vec<(PageId, SlotId), { EVICT_BATCH_MAX as usize }>,
+    to_hide: heapless::Vec<(PageId, SlotId), OUTBOX>,
     woken_pages: heapless::Vec<PageId, WOKEN_MAX>,
     wakes_slots: bool,
     ticket: Option<Ticket<'a>>,
@@ -175,7 +176,7 @@ impl Paging {
         let ticket = match answer {
             Fault::Wait => Some(self.words.ticket_for_page(page)),
             Fault::Full => Some(self.words.ticket_for_slot()),
-            Fault::Ready | Fault::Fetch | Fault::Failed(_) => None,
+            Fault::Ready | Fault::Fetch | Fault::Show | Fault::Failed(_) => None,
         };
         (answer, Work { ticket, ..self.finish(node) })
     }
@@ -201,6 +202,34 @@ impl Paging {
         let mut node = self.node.lock();
         node.handle_filled(sys::now(), page);
         self.finish(node);
+        Ok(())
+    }
+
+    /// Brings a hidden page back and tells the state machine.
+    pub(crate) fn show(&self, page: PageId) -> Result<(), PageFailure> {
+        let shown = self.backend.show(&self.area, page);
+        shown.map_err(|why| self.fail(page, Reason::System(why)))?;
+        let mut node = self.node.lock();
+        node.handle_filled(sys::now(), page);
+        self.finish(node);
+        Ok(())
+    }
+
+    /// Hides what is to be hidden and tells the state machine.
+    pub(crate) fn hide(&self, work: &Work<'_>) -> Result<(), PageFailure> {
+        let Some((first, _)) = work.to_hide.first() else { return Ok(()) };
+        let hidden = self.backend.hide(&self.area, &work.to_hide);
+        hidden.map_err(|why| self.fail(*first, Reason::System(why)))?;
+        for pages in work.to_hide.chunks(WOKEN_MAX) {
+            let mut node = self.node.lock();
+            let mut woken = Work::default();
+            for (page, _) in pages {
+                node.handle_covered(sys::now(), *page);
+                woken.gather(&mut node);
+            }
+            drop(node);
+            self.wake(&woken);
+        }
         Ok(())
     }
 
@@ -319,6 +348,10 @@ impl Work<'_> {
                 Output::Unmap { page, slot } => {
                     let pushed = self.victims.push((page, slot));
                     debug_assert!(pushed.is_ok(), "a batch is bounded");
+                }
+                Output::Hide { page, slot } => {
+                    let pushed = self.to_hide.push((page, slot));
+                    debug_assert!(pushed.is_ok(), "one input causes no more than fits the outbox");
                 }
                 Output::WakePage { page } => {
                     let pushed = self.woken_pages.push(page);

@@ -47,6 +47,8 @@ pub struct Setup {
     pub policy: PolicyKind,
     /// How it learns which pages are used.
     pub reference: ReferenceSource,
+    /// How many per cent of the slots hold hidden pages, where soft faults are the source.
+    pub hidden_per_cent: u32,
     /// Makes what is random repeatable.
     pub seed: u64,
     /// Pages of other nodes that may be resident at once.
@@ -103,7 +105,9 @@ impl Region {
             None => None,
         };
         let (policy, reference) = ((setup.policy, setup.seed), backend.reference(setup.reference));
-        let paging = Paging::new(area, backend, home, setup.node, slot_count, policy, reference);
+        let hidden_max = backend.hidden_max(reference, slot_count, setup.hidden_per_cent);
+        let node = node::Config { hidden_max, ..setup.node };
+        let paging = Paging::new(area, backend, home, node, slot_count, policy, reference);
         Self::assemble(Kind::Paged(Box::new(paging.map_err(RegionError::Config)?)), choice)
     }
 

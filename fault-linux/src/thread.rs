@@ -266,9 +266,14 @@ impl<T: Transport> Fetcher<T> {
             }
             // In the shadow of the request, if there is one.
             let evicted = paging.evict(&work)?;
+            paging.hide(&work)?;
             match answer {
                 Answer::Ready => break,
                 Answer::Fetch if self.receive(paging, page)? => break,
+                Answer::Show => {
+                    paging.show(page)?;
+                    break;
+                }
                 Answer::Fetch => {}
                 Answer::Failed(failure) => return Err(paging.fail(page, Reason::Cluster(failure))),
                 Answer::Full if evicted => {}

@@ -154,12 +154,14 @@ impl Member {
                         packet.expect("a part of a page comes with a message"),
                     );
                 }
-                Output::Map { page, slot, bytes } => {
-                    self.map(page, slot, bytes, packet)
-                }
+                Output::Map { page, slot, bytes } => self.map(page, slot, bytes, packet),
                 Output::Unmap { page, slot } => {
                     let kept = self.kept.get(&slot.0);
-                    assert_eq!(kept, Some(&page.0), "SLOT_HOLDS_ONE_PAGE: {page} is taken away and is not there");
+                    assert_eq!(
+                        kept,
+                        Some(&page.0),
+                        "SLOT_HOLDS_ONE_PAGE: {page} is taken away and is not there"
+                    );
                     self.work.push(Work::Unmap { page });
                 }
                 Output::Hide { page, slot } => {

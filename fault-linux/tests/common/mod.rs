@@ -44,6 +44,7 @@ impl Scene {
             node: self.config(),
             policy,
             reference: ReferenceSource::SoftFaults,
+            hidden_per_cent: 40,
             seed: 1,
             slot_count,
             home,
