@@ -56,6 +56,7 @@ impl Space {
             policy,
             reference: ReferenceSource::Nothing,
             hidden_per_cent: 0,
+            prefetch: false,
             seed,
             slot_count: slots,
             home: None,

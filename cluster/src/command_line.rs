@@ -125,6 +125,9 @@ struct Cluster {
     /// With soft-faults, how many per cent of the slots hold hidden pages
     #[arg(long, value_name = "PERCENT", default_value_t = HIDDEN_PER_CENT, value_parser = clap::value_parser!(u32).range(1..=90))]
     hidden: u32,
+    /// With hints, do not bring the pages that a tile used in the last frame before it starts
+    #[arg(long)]
+    no_prefetch: bool,
     /// How tiles are drawn: auto, avx512, avx2, portable (beams with these instructions), or rays; all draw the same
     #[arg(long, value_name = "NAME", default_value = "auto", value_parser = kernel)]
     kernel: ChosenKernel,
@@ -302,6 +305,7 @@ impl Render {
             policy: cluster.policy,
             reference: cluster.reference,
             hidden_per_cent: cluster.hidden,
+            prefetch: !cluster.no_prefetch,
             kernel: cluster.kernel.0,
             transport: cluster.transport,
             size: view.size,

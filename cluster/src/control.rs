@@ -60,6 +60,7 @@ pub(crate) struct SetUp {
     /// A source of reference bits by name.
     pub(crate) reference: String,
     pub(crate) hidden_per_cent: u32,
+    pub(crate) prefetch: bool,
     pub(crate) kernel: String,
     pub(crate) transport: TransportKind,
     pub(crate) spin_us: u64,

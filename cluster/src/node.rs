@@ -226,14 +226,23 @@ impl Process {
         };
         let policy: PolicyKind = self.set_up.policy.parse()?;
         let reference: ReferenceSource = self.set_up.reference.parse()?;
-        let hidden_per_cent = self.set_up.hidden_per_cent;
+        let SetUp { hidden_per_cent, prefetch, .. } = self.set_up;
         let backend = match self.set_up.backend.as_str() {
             "auto" => None,
             name => Some(name.parse::<BackendKind>()?),
         };
         let seed = self.set_up.seed ^ u64::from(self.set_up.node);
-        let setup =
-            Setup { node, policy, reference, hidden_per_cent, seed, slot_count: slots, home, backend };
+        let setup = Setup {
+            node,
+            policy,
+            reference,
+            hidden_per_cent,
+            prefetch,
+            seed,
+            slot_count: slots,
+            home,
+            backend,
+        };
         // SAFETY: every process freezes its page file once it is filled, and only then says that it is ready; the
         // supervisor lets nobody draw before. From then on a page has the same bytes whoever grants it.
         Ok(unsafe { Region::new(setup) }?)
@@ -284,6 +293,9 @@ impl Process {
             received_bytes: stats.received_bytes,
             evictions: stats.evicted_pages,
             soft_faults: stats.soft_faults,
+            prefetched: stats.prefetched_pages,
+            prefetch_used: stats.prefetch_used,
+            prefetch_wasted: stats.prefetch_wasted,
             resends: stats.resends,
             miss_p50_us: us(500),
             miss_p99_us: us(990),

@@ -113,6 +113,15 @@ pub struct ProcessReport {
     /// Faults that found the page hidden and sent no message.
     #[serde(default)]
     pub soft_faults: u64,
+    /// Pages asked for before anybody touched them.
+    #[serde(default)]
+    pub prefetched: u64,
+    /// Of those, pages that were used.
+    #[serde(default)]
+    pub prefetch_used: u64,
+    /// Of those, pages that left unused.
+    #[serde(default)]
+    pub prefetch_wasted: u64,
     /// Requests sent again.
     pub resends: u64,
     /// Median time of a miss, from the fault to the page's presence, in microseconds.

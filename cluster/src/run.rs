@@ -51,6 +51,8 @@ pub struct Options {
     pub reference: ReferenceSource,
     /// How many per cent of its slots hold hidden pages, where soft faults are the source.
     pub hidden_per_cent: u32,
+    /// Whether pages are brought before a tile starts, where hints are the source.
+    pub prefetch: bool,
     /// How tiles are drawn; `None`: by the fastest kernel that the node's processor has.
     pub kernel: Option<Kernel>,
     /// How pages travel.
@@ -90,6 +92,7 @@ impl Default for Options {
             policy: PolicyKind::Recall,
             reference: ReferenceSource::Hints,
             hidden_per_cent: HIDDEN_PER_CENT,
+            prefetch: true,
             kernel: None,
             transport: TransportKind::Shm,
             size: PictureSize { width: 512, height: 512 },
@@ -210,6 +213,7 @@ impl Run {
             policy: options.policy.name().to_owned(),
             reference: options.reference.name().to_owned(),
             hidden_per_cent: options.hidden_per_cent,
+            prefetch: options.prefetch,
             kernel: options.kernel.map_or("auto", Kernel::name).to_owned(),
             transport: self.transport,
             spin_us: self.spin_us(),

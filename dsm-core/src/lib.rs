@@ -84,6 +84,7 @@ pub mod page_sets;
 pub mod page_state;
 pub mod page_table;
 pub mod placement;
+mod prefetch;
 pub mod replacement;
 mod request;
 mod round_trip;

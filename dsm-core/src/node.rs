@@ -20,6 +20,7 @@ use crate::membership::{Liveness, Membership};
 use crate::mutants::{self, Mutant};
 use crate::page_state::{Effect, PageEvent, PageState};
 use crate::page_table::{PageTable, StorageError};
+use crate::prefetch::Account;
 use crate::replacement::{Policy, Replacement, Residents};
 use crate::request::Requests;
 use crate::stats::NodeStats;
@@ -47,6 +48,7 @@ pub struct Node<'s, R: Replacement = Policy> {
     /// A thread waits for a slot, any slot.
     slot_waited_for: bool,
     next_number: u32,
+    prefetch: Account,
     stats: NodeStats,
 }
 
@@ -184,6 +186,7 @@ impl<'s, R: Replacement> Node<'s, R> {
             outbox: Deque::new(),
             slot_waited_for: false,
             next_number: 0,
+            prefetch: Account::new(),
             stats: NodeStats::default(),
         })
     }
@@ -265,7 +268,49 @@ impl<'s, R: Replacement> Node<'s, R> {
             && let Some(slot) = self.table.slot(page)
         {
             self.residents.policy_mut().handle_reference(self.table.slots_mut(), slot);
+            if core::mem::take(&mut self.table.slots_mut()[slot.index()].prefetched) {
+                self.stats.prefetch_used += 1;
+                self.prefetch.used();
+            }
         }
+    }
+
+    /// Pages are about to be brought that nobody waits for: makes slots free for up to `count` of them, if they can be had
+    /// for pages that are needed later.
+    ///
+    /// Gives the number that can be asked for, after what [`poll`](Self::poll) says has been carried out. 0 where it
+    /// has shown that it does not pay.
+    pub fn handle_prefetch_wish(&mut self, now: Instant, count: u32) -> u32 {
+        self.expect_drained();
+        self.clock.advance(now);
+        if !self.prefetch.allows() {
+            return 0;
+        }
+        let count = count.min(EVICT_BATCH_MAX);
+        while self.table.free_count() + self.table.leaving_count() < count {
+            let Some(slot) = self.residents.choose_victim_for_prefetch(self.table.slots_mut()) else { break };
+            self.evict_from(slot);
+        }
+        count.min(self.table.free_count() + self.table.leaving_count())
+    }
+
+    /// Asks for a page that nobody has touched, if it is absent and a slot is free and half of the requests are. Tells
+    /// whether it did; the answer comes to `port`.
+    pub fn handle_prefetch(&mut self, now: Instant, page: PageId, port: PortId) -> bool {
+        self.expect_drained();
+        let now = self.clock.advance(now);
+        let has_room = self.table.free_count() > 0 && 2 * self.requests.len() < self.requests.capacity();
+        if !has_room || self.table.state(page) != Some(PageState::Absent) {
+            return false;
+        }
+        if let Effect::SendRequest = self.apply(page, PageEvent::Fault) {
+            self.stats.prefetched_pages += 1;
+            if let Some(slot) = self.table.slot(page) {
+                self.table.slots_mut()[slot.index()].prefetched = true;
+            }
+            self.begin_request(now, page, port, 0);
+        }
+        true
     }
 
     /// The driver expects `page` to be used next at tile `next_use`. Without effect unless it is resident.
@@ -473,16 +518,25 @@ impl<'s, R: Replacement> Node<'s, R> {
     fn evict(&mut self) {
         for _ in 0..self.config.evict_batch {
             let Some(slot) = self.residents.choose_victim(self.table.slots_mut()) else { break };
-            let Some(page) = self.table.page_in(slot) else { continue };
-            if let Effect::Unmap = self.apply(page, PageEvent::Evict) {
-                self.stats.evicted_pages += 1;
-                self.push(Pending::Done(Output::Unmap { page, slot }));
-                if mutants::is_on(Mutant::ReuseSlotEarly) {
-                    self.apply(page, PageEvent::Unmapped);
-                }
-            }
+            self.evict_from(slot);
         }
         self.hide();
+    }
+
+    /// Has the page in `slot` taken away, which the policy has chosen.
+    fn evict_from(&mut self, slot: SlotId) {
+        let Some(page) = self.table.page_in(slot) else { return };
+        if let Effect::Unmap = self.apply(page, PageEvent::Evict) {
+            self.stats.evicted_pages += 1;
+            if core::mem::take(&mut self.table.slots_mut()[slot.index()].prefetched) {
+                self.stats.prefetch_wasted += 1;
+                self.prefetch.wasted();
+            }
+            self.push(Pending::Done(Output::Unmap { page, slot }));
+            if mutants::is_on(Mutant::ReuseSlotEarly) {
+                self.apply(page, PageEvent::Unmapped);
+            }
+        }
     }
 
     /// Gives `page` up. Its request has been taken out.

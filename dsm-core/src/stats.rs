@@ -27,6 +27,12 @@ pub struct NodeStats {
     pub dead_peers: u64,
     /// Fragments of pages that came and were stored.
     pub fragments: u64,
+    /// Pages asked for before anybody touched them.
+    pub prefetched_pages: u64,
+    /// Of those, pages that are known to have been used.
+    pub prefetch_used: u64,
+    /// Of those, pages that left and are not known to have been used.
+    pub prefetch_wasted: u64,
     /// Pages granted and put into a slot.
     pub fetched_pages: u64,
     /// Bytes of those pages.

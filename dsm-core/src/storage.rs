@@ -38,6 +38,8 @@ pub struct SlotEntry {
     pub(crate) evictable: bool,
     /// How often the page was used since the policy last looked, as far as the policy counts.
     pub(crate) uses: u8,
+    /// The page was brought before anybody touched it, and nobody is known to have used it yet.
+    pub(crate) prefetched: bool,
     /// A page that left not long ago, or [`NONE`]. Has nothing to do with the page that is in the slot.
     pub(crate) ghost: u32,
     /// Tells how long ago `ghost` left.
@@ -94,6 +96,7 @@ impl SlotEntry {
         previous: NONE,
         evictable: false,
         uses: 0,
+        prefetched: false,
         ghost: NONE,
         ghost_number: 0,
         next_use: 0,

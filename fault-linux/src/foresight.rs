@@ -1,8 +1,9 @@
 //! What the last frame tells of this one, and which tiles are being drawn.
 
 use dsm_core::id::PageId;
-use dsm_core::node::Node;
+use dsm_core::node::{EVICT_BATCH_MAX, Node};
 use dsm_core::page_sets::{PageSetStorage, PageSets, SetEntry, TileEntry};
+use dsm_core::page_state::PageState;
 
 use crate::lent::Lent;
 
@@ -16,6 +17,9 @@ pub(crate) struct Foresight {
     under_way: Vec<u32>,
     frame_start: u32,
 }
+
+/// Pages to bring before a tile starts, at most a batch of victims.
+pub(crate) type Ahead = heapless::Vec<PageId, { EVICT_BATCH_MAX as usize }>;
 
 /// Tiles that are remembered: a picture of 3840 x 2160 has 32,400.
 const TILES_MAX: usize = 32 << 10;
@@ -46,6 +50,16 @@ impl Foresight {
     pub(crate) fn begin_tile(&mut self, tile: u32, node: &mut Node<'static>) {
         self.under_way.push(self.sets.place_of(tile));
         self.tell_time(node);
+    }
+
+    /// Pages that `tile` touched in the last frame and that are absent now, as many as `pages` has room for.
+    pub(crate) fn absent_pages_of(&self, tile: u32, node: &Node<'static>, pages: &mut Ahead) {
+        let absent = |page: &PageId| node.table().state(*page) == Some(PageState::Absent);
+        for page in self.sets.pages_of(tile).filter(absent) {
+            if pages.push(page).is_err() {
+                return;
+            }
+        }
     }
 
     pub(crate) fn end_tile(&mut self, tile: u32, pages: &[PageId], node: &mut Node<'static>) {

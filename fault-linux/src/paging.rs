@@ -19,7 +19,7 @@ use dsm_core::wire::HEADER_BYTES;
 use crate::area::Area;
 use crate::backend::{Backend, Record};
 use crate::failure::{PageFailure, Reason};
-use crate::foresight::Foresight;
+use crate::foresight::{Ahead, Foresight};
 use crate::lock::{Guard, Lock};
 use crate::sys::{self, Errno};
 use crate::words::{Ticket, Words};
@@ -35,6 +35,8 @@ pub(crate) struct Paging {
     reference: ReferenceSource,
     /// For policies that are told by hints. Locked before the node.
     foresight: Option<Lock<Foresight>>,
+    /// Pages are brought before a tile starts.
+    prefetches: bool,
     /// Declared, and so dropped, before the storage it works in.
     node: Lock<Node<'static>>,
     _storage: LentStorage,
@@ -90,7 +92,7 @@ impl Paging {
         config: Config,
         slot_count: u32,
         policy: (PolicyKind, u64),
-        reference: ReferenceSource,
+        (reference, prefetches): (ReferenceSource, bool),
     ) -> Result<Self, ConfigError> {
         let config = with_watermarks(config, slot_count);
         let (storage, lent) = LentStorage::lend(&config.placement, slot_count);
@@ -104,6 +106,7 @@ impl Paging {
             config,
             reference,
             foresight,
+            prefetches,
             node: Lock::new(node),
             _storage: lent,
             words: Words::new(),
@@ -138,11 +141,30 @@ impl Paging {
         }
     }
 
-    /// A thread begins to draw a tile.
-    pub(crate) fn begin_tile(&self, tile: u32) {
-        if let Some(foresight) = &self.foresight {
-            foresight.lock().begin_tile(tile, &mut self.node.lock());
+    /// A thread begins to draw a tile. Gives the pages to bring before it does, and has slots made free for them.
+    pub(crate) fn begin_tile(&self, tile: u32) -> (Ahead, Work<'_>) {
+        let mut ahead = Ahead::new();
+        let Some(foresight) = &self.foresight else { return (ahead, Work::default()) };
+        let mut foresight = foresight.lock();
+        let mut node = self.node.lock();
+        foresight.begin_tile(tile, &mut node);
+        if !self.prefetches {
+            return (ahead, Work::default());
         }
+        foresight.absent_pages_of(tile, &node, &mut ahead);
+        drop(foresight);
+        let count = u32::try_from(ahead.len()).unwrap_or(u32::MAX);
+        let granted = node.handle_prefetch_wish(sys::now(), count);
+        ahead.truncate(granted as usize);
+        (ahead, self.finish(node))
+    }
+
+    /// Asks for a page that nobody waits for, if there is room for it; the answer comes to `port`.
+    pub(crate) fn prefetch(&self, page: PageId, port: PortId) -> Option<Work<'_>> {
+        let mut node = self.node.lock();
+        let is_asked = node.handle_prefetch(sys::now(), page, port);
+        let work = self.finish(node);
+        is_asked.then_some(work)
     }
 
     /// A thread has drawn a tile and used these pages, each given once.

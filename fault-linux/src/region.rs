@@ -49,6 +49,8 @@ pub struct Setup {
     pub reference: ReferenceSource,
     /// How many per cent of the slots hold hidden pages, where soft faults are the source.
     pub hidden_per_cent: u32,
+    /// With hints: bring the pages that a tile touched in the last frame before it starts.
+    pub prefetch: bool,
     /// Makes what is random repeatable.
     pub seed: u64,
     /// Pages of other nodes that may be resident at once.
@@ -107,7 +109,7 @@ impl Region {
         let (policy, reference) = ((setup.policy, setup.seed), backend.reference(setup.reference));
         let hidden_max = backend.hidden_max(reference, slot_count, setup.hidden_per_cent);
         let node = node::Config { hidden_max, ..setup.node };
-        let paging = Paging::new(area, backend, home, node, slot_count, policy, reference);
+        let paging = Paging::new(area, backend, home, node, slot_count, policy, (reference, setup.prefetch));
         Self::assemble(Kind::Paged(Box::new(paging.map_err(RegionError::Config)?)), choice)
     }
 

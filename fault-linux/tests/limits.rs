@@ -60,6 +60,7 @@ fn a_backend_asked_for_by_name_is_used_or_refused() {
             policy: PolicyKind::Fifo,
             reference: ReferenceSource::Nothing,
             hidden_per_cent: 0,
+            prefetch: false,
             seed: 0,
             slot_count: 4,
             home: None,

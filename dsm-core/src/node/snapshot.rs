@@ -8,6 +8,7 @@ use super::{Config, Node};
 use crate::id::PageId;
 use crate::membership::Membership;
 use crate::page_table::{Lists, PageTable};
+use crate::prefetch::Account;
 use crate::replacement::{Policy, Replacement, Residents};
 use crate::request::Requests;
 use crate::stats::NodeStats;
@@ -27,6 +28,7 @@ pub struct Snapshot<R = Policy> {
     clock: SteadyClock,
     slot_waited_for: bool,
     next_number: u32,
+    prefetch: Account,
     stats: NodeStats,
 }
 
@@ -47,6 +49,7 @@ impl<R: Replacement> Node<'_, R> {
             clock: self.clock,
             slot_waited_for: self.slot_waited_for,
             next_number: self.next_number,
+            prefetch: self.prefetch,
             stats: self.stats,
         }
     }
@@ -78,6 +81,7 @@ impl<R: Replacement> Snapshot<R> {
             outbox: Deque::new(),
             slot_waited_for: self.slot_waited_for,
             next_number: self.next_number,
+            prefetch: self.prefetch,
             stats: self.stats,
         }
     }

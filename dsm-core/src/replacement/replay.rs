@@ -2,6 +2,7 @@
 
 use super::{Replacement, Residents};
 use crate::id::{PageId, SlotId};
+use crate::prefetch::Account;
 use crate::storage::{NONE, SlotEntry};
 
 /// A cache of pages that takes no time and moves no bytes, to count the misses of a policy on a recorded trace.
@@ -13,6 +14,7 @@ pub struct Replay<'s, R> {
     slots: &'s mut [SlotEntry],
     used: u32,
     residents: Residents<R>,
+    prefetch: Account,
 }
 
 /// What a touch met.
@@ -35,7 +37,13 @@ impl<'s, R: Replacement> Replay<'s, R> {
         assert!(!slots.is_empty(), "a cache without a slot");
         slot_of.fill(NONE);
         slots.fill(SlotEntry::EMPTY);
-        Self { slot_of, slots, used: 0, residents: Residents::new(policy, hidden_max) }
+        Self {
+            slot_of,
+            slots,
+            used: 0,
+            residents: Residents::new(policy, hidden_max),
+            prefetch: Account::new(),
+        }
     }
 
     /// A reader touches `page`.
@@ -46,6 +54,7 @@ impl<'s, R: Replacement> Replay<'s, R> {
         match self.slot_of[page.index()] {
             NONE => {
                 self.fetch(page);
+                self.prefetch.used();
                 Touch::Miss
             }
             slot if self.slots[slot as usize].evictable => Touch::Hit,
@@ -64,6 +73,9 @@ impl<'s, R: Replacement> Replay<'s, R> {
         let slot = self.slot_of[page.index()];
         if slot != NONE && self.slots[slot as usize].evictable {
             self.residents.policy_mut().handle_reference(self.slots, SlotId(slot));
+            if core::mem::take(&mut self.slots[slot as usize].prefetched) {
+                self.prefetch.used();
+            }
         }
     }
 
@@ -81,9 +93,9 @@ impl<'s, R: Replacement> Replay<'s, R> {
     }
 
     /// Brings `page` before anybody touches it. Tells whether it was brought: not if it is there already, nor if all
-    /// that is there is needed sooner.
+    /// that is there is needed sooner, nor while too many pages were brought for nothing.
     pub fn prefetch(&mut self, page: PageId) -> bool {
-        if self.slot_of[page.index()] != NONE {
+        if self.slot_of[page.index()] != NONE || !self.prefetch.allows() {
             return false;
         }
         let is_full = self.used as usize == self.slots.len();
@@ -96,6 +108,8 @@ impl<'s, R: Replacement> Replay<'s, R> {
             }
             None => self.fetch(page),
         }
+        let slot = self.slot_of[page.index()];
+        self.slots[slot as usize].prefetched = true;
         true
     }
 
@@ -126,6 +140,9 @@ impl<'s, R: Replacement> Replay<'s, R> {
         let entry = &mut self.slots[victim.index()];
         self.slot_of[entry.page as usize] = NONE;
         entry.evictable = false;
+        if core::mem::take(&mut entry.prefetched) {
+            self.prefetch.wasted();
+        }
         victim
     }
 

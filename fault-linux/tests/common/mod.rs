@@ -45,6 +45,7 @@ impl Scene {
             policy,
             reference: ReferenceSource::SoftFaults,
             hidden_per_cent: 40,
+            prefetch: false,
             seed: 1,
             slot_count,
             home,
