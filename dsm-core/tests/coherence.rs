@@ -5,19 +5,7 @@ use dsm_ops::{Op, Setup, run};
 use proptest::prelude::*;
 
 fn any_setup() -> impl Strategy<Value = Setup> {
-    let cluster = (0u8..2, 1u8..4, 1u8..4);
-    let node = (1u8..5, prop::sample::select(&PolicyKind::ALL[..]), 1u8..4, 0u8..3, 0u8..4);
-    let asking = (prop::sample::select(&[1u8, 4, 32][..]), 1u8..4, 1u8..5, any::<bool>());
-    (cluster, node, asking).prop_map(
-        |((readers, replicas, stripe_pages), (slots, policy, evict_batch, evict_ahead, hidden), asking)| {
-            let (fragments, tries, requests, buries_early) = asking;
-            let (nodes, owners) = (3 + readers, 3);
-            let cluster = Setup { nodes, owners, replicas, stripe_pages, ..Setup::SMALL };
-            let hidden = hidden.min(slots - 1);
-            let node = Setup { slots, policy, evict_batch, evict_ahead, hidden, ..cluster };
-            Setup { fragments, tries, requests, buries_early, ..node }
-        },
-    )
+    any::<[u8; Setup::BYTES]>().prop_map(Setup::from_bytes)
 }
 
 fn any_ops() -> impl Strategy<Value = Vec<Op>> {

@@ -1,7 +1,7 @@
 //! What makes two states of a cluster the same to everything that can happen to it.
 
+use core::hash::{Hash, Hasher};
 use std::collections::hash_map::DefaultHasher;
-use std::hash::{Hash, Hasher};
 
 use dsm_core::time::Instant;
 use dsm_core::wire::{Body, Message};
@@ -54,7 +54,7 @@ fn member_fingerprint(member: &Member, now: Instant, hasher: &mut impl Hasher) {
         let waited = thread.wait().map(|wait| now.since(wait.world_since));
         match thread {
             Thread::Running => 0u8.hash(hasher),
-            Thread::Fetching(wait) => (1u8, wait.page, waited).hash(hasher),
+            Thread::Fetching(wait) => (1u8, wait.page).hash(hasher),
             Thread::WaitingForPage(wait) => (2u8, wait.page, waited).hash(hasher),
             Thread::WaitingForSlot(wait) => (3u8, wait.page, waited).hash(hasher),
         }

@@ -27,4 +27,4 @@ mod oracle;
 mod world;
 
 pub use op::{Op, Stray};
-pub use world::{Setup, Tally, World, run};
+pub use world::{Setup, Tally, World, run, run_bytes};

@@ -1,7 +1,7 @@
 //! What one node may believe and has promised, known independently of it.
 
+use core::hash::{Hash, Hasher};
 use std::collections::BTreeMap;
-use std::hash::{Hash, Hasher};
 
 use dsm_core::id::{Incarnation, NodeId, PageId};
 use dsm_core::membership::Liveness;

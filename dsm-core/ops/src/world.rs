@@ -90,11 +90,17 @@ pub(crate) struct Packet {
     pub(crate) page: Option<u32>,
 }
 
+/// Reads of pages from this number on ask for them ahead.
+const AHEAD: u8 = 192;
+
 /// Length of a page. Real ones are longer; what matters is that there are units to be cut into.
 pub(crate) const PAGE_BYTES: u32 = 64;
 
 const RESEND_US: u64 = 1_000;
 const DEADLINE_US: u64 = 20_000;
+
+/// In a model every moment counts, for each makes other states.
+const RIGID_DEADLINE_US: u64 = 8 * RESEND_US;
 
 /// Runs `ops` on a cluster, with everything checked after each, then lets it come to rest and reads what can be had.
 ///
@@ -110,7 +116,41 @@ pub fn run(setup: Setup, ops: impl IntoIterator<Item = Op>) -> World {
     world
 }
 
+/// Runs the operations that `bytes` stand for on the cluster that their first bytes stand for: the fuzzer's way in.
+///
+/// # Panics
+/// When an invariant does not hold; the message names it.
+pub fn run_bytes(bytes: &[u8]) {
+    if let Some((setup, ops)) = bytes.split_first_chunk::<{ Setup::BYTES }>() {
+        run(Setup::from_bytes(*setup), Op::list_from_bytes(ops));
+    }
+}
+
 impl Setup {
+    /// Bytes that a set-up is made of.
+    pub const BYTES: usize = 4;
+
+    /// The set-up that these bytes stand for. All bytes stand for one.
+    #[must_use]
+    pub fn from_bytes([cluster, node, asking, parts]: [u8; Self::BYTES]) -> Self {
+        let policies = PolicyKind::ALL;
+        Self {
+            nodes: 3 + cluster % 2,
+            replicas: 1 + cluster / 2 % 3,
+            stripe_pages: 1 + cluster / 6 % 3,
+            slots: 1 + node % 4,
+            hidden: (node / 24 % 4).min(node % 4),
+            policy: policies[usize::from(node / 4) % policies.len()],
+            evict_batch: 1 + asking % 3,
+            evict_ahead: asking / 3 % 3,
+            requests: 1 + asking / 9 % 4,
+            tries: 1 + parts % 3,
+            fragments: [1, 4, 32][usize::from(parts / 3) % 3],
+            buries_early: parts / 9 % 2 == 0,
+            ..Self::SMALL
+        }
+    }
+
     /// Three nodes of two threads, all of which own pages, with two copies of each.
     pub const SMALL: Self = Self {
         nodes: 3,
@@ -131,6 +171,10 @@ impl Setup {
         buries_early: true,
     };
 
+    pub(crate) const fn deadline_us(&self) -> u64 {
+        if self.is_rigid { RIGID_DEADLINE_US } else { DEADLINE_US }
+    }
+
     /// The configuration of one node.
     pub(crate) fn config(&self, me: NodeId, incarnation: Incarnation) -> Config {
         let first_owner = NodeId(u16::from(self.nodes - self.owners));
@@ -150,8 +194,8 @@ impl Setup {
             resend_us_max: if self.is_rigid { RESEND_US } else { DEADLINE_US },
             tries: self.tries,
             suspect_after_us: 2 * RESEND_US,
-            dead_after_us: if self.buries_early { DEADLINE_US / 2 } else { DEADLINE_US * 2 },
-            deadline_us: DEADLINE_US,
+            dead_after_us: if self.buries_early { self.deadline_us() / 2 } else { self.deadline_us() * 2 },
+            deadline_us: self.deadline_us(),
             ..Config::new(me, placement, PAGE_BYTES)
         }
     }
@@ -186,9 +230,14 @@ impl World {
         match op {
             Op::Read { node, thread, page } => {
                 let (node, thread) = (node_of(node), usize::from(thread % self.setup.threads));
+                let is_ahead = page >= AHEAD;
                 let page = PageId(u32::from(page % self.setup.pages));
                 if self.members[node].is_alive && self.members[node].threads[thread] == Thread::Running {
-                    self.fault(node, thread, page, None);
+                    if is_ahead {
+                        self.prefetch(node, thread, page);
+                    } else {
+                        self.fault(node, thread, page, None);
+                    }
                 }
             }
             Op::Deliver(index) => {
@@ -398,6 +447,21 @@ impl World {
         self.carry_out(node, sent, woken);
     }
 
+    /// A thread asks for a page before it touches it, and waits for it, if it may.
+    fn prefetch(&mut self, node: usize, thread: usize, page: PageId) {
+        let world_now = self.now;
+        let now = self.members[node].time(world_now);
+        let (_, sent, woken) = self.members[node].input(None, |node| node.handle_prefetch_wish(now, 1));
+        self.carry_out(node, sent, woken);
+        let member = &mut self.members[node];
+        let (is_asked, sent, woken) =
+            member.input(None, |node| node.handle_prefetch(now, page, port(thread)));
+        if is_asked {
+            member.threads[thread] = Thread::Fetching(Wait { page, since: now, world_since: world_now });
+        }
+        self.carry_out(node, sent, woken);
+    }
+
     /// Does what an input has caused: sends, and lets the woken ask again.
     fn carry_out(&mut self, node: usize, sent: Vec<Packet>, woken: Vec<usize>) {
         let (member, now) = (&mut self.members[node], self.now);
@@ -413,8 +477,9 @@ impl World {
             if let Some(thread) = thread
                 && let Some(wait) = member.threads[thread].wait()
                 && let Some(next) = member.next_timer(thread)
-                && next.since(wait.world_since) + member.slack_us + 1 < DEADLINE_US
+                && next.since(wait.world_since) + 1 < DEADLINE_US
                 && member.slack_us == 0
+                && !self.setup.is_rigid
             {
                 let left_us = DEADLINE_US.saturating_sub(now.since(wait.world_since));
                 let round = u64::from(self.setup.replicas) * u64::from(self.setup.tries);
@@ -585,7 +650,8 @@ impl World {
         let member = &self.members[node];
         if let Thread::Fetching(wait) = member.threads[thread] {
             let waited = self.now.since(wait.world_since);
-            let is_late = waited > DEADLINE_US + member.slack_us && !member.is_filling(wait.page);
+            let is_late =
+                waited > self.setup.deadline_us() + member.slack_us && !member.is_filling(wait.page);
             assert!(!is_late, "NO_LOST_WAITER: {} is asked for {waited} us after its fault", wait.page);
         }
     }

@@ -1,17 +1,19 @@
 //! The model: a world, how much may go wrong in it, and the properties.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
-use std::hash::{Hash, Hasher};
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use core::hash::{Hash, Hasher};
+use core::panic::AssertUnwindSafe;
+use std::panic::catch_unwind;
 
 use dsm_ops::{Op, Setup, Stray, Tally, World};
-use stateright::{Checker, Model, Property};
+use stateright::{Checker, HasDiscoveries, Model, Property};
 
 /// What is explored.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Cluster {
     pub(crate) replicas: u8,
     pub(crate) fragments: u8,
+    pub(crate) threads: u8,
     pub(crate) budget: Budget,
 }
 
@@ -23,7 +25,6 @@ pub(crate) struct Budget {
     pub(crate) early_timers: u8,
     pub(crate) crashes: u8,
     pub(crate) restarts: u8,
-    pub(crate) strays: u8,
 }
 
 /// A state: a world, what may still go wrong, and what has been reached on the way here.
@@ -48,8 +49,8 @@ struct Reached {
 /// What came of it.
 #[derive(Debug)]
 pub(crate) struct Explored {
-    pub(crate) unique: usize,
-    pub(crate) generated: usize,
+    pub(crate) states: usize,
+    pub(crate) transitions: usize,
     /// What did not hold somewhere, and the way there.
     pub(crate) broken: Option<String>,
     /// What should have been reachable and was not.
@@ -60,9 +61,36 @@ const SAFE: &str = "every invariant holds";
 const NO_PAGE_LOST: &str = "no page with a live copy fails";
 const NO_WAITER_LOST: &str = "whoever waits is served in the end";
 
+/// Replacement is at work.
+const EVICTION: &str = "a page is evicted";
+pub(crate) const FAILOVER: &str = "another copy is asked";
+pub(crate) const DEATH: &str = "a peer is found dead";
+pub(crate) const RETURN: &str = "a new incarnation answers";
+pub(crate) const LATE: &str = "an answer comes late";
+
+impl Cluster {
+    /// What the protocol is asked to survive first of all.
+    pub(crate) const TWO_THREADS: Self = Self {
+        replicas: 2,
+        fragments: 1,
+        threads: 2,
+        budget: Budget { losses: 1, crashes: 1, ..Budget::NONE },
+    };
+    /// With all that follows from coming back.
+    pub(crate) const RETURN: Self = Self {
+        threads: 1,
+        budget: Budget { losses: 1, crashes: 1, restarts: 1, ..Budget::NONE },
+        ..Self::TWO_THREADS
+    };
+    /// Pages in two parts.
+    pub(crate) const FRAGMENTS: Self = Self { fragments: 2, threads: 1, ..Self::TWO_THREADS };
+    /// Every page is lost with its home.
+    pub(crate) const ONE_COPY: Self =
+        Self { replicas: 1, threads: 1, budget: Budget { crashes: 1, ..Budget::NONE }, ..Self::TWO_THREADS };
+}
+
 impl Budget {
-    pub(crate) const ONE_OF_EACH: Self =
-        Self { losses: 1, duplicates: 1, early_timers: 1, crashes: 1, restarts: 1, strays: 1 };
+    pub(crate) const NONE: Self = Self { losses: 0, duplicates: 0, early_timers: 0, crashes: 0, restarts: 0 };
 }
 
 impl Model for Cluster {
@@ -76,12 +104,13 @@ impl Model for Cluster {
             pages: 2,
             stripe_pages: 1,
             replicas: self.replicas,
-            threads: 2,
+            threads: self.threads,
             slots: 1,
             requests: 2,
             fragments: self.fragments,
             tries: 1,
             is_rigid: true,
+            buries_early: self.replicas > 1,
             ..Setup::SMALL
         };
         vec![State {
@@ -96,16 +125,17 @@ impl Model for Cluster {
         if state.broken.is_some() {
             return;
         }
-        let Budget { losses, duplicates, early_timers, crashes, restarts, strays } = state.budget;
-        actions.extend(state.world.enabled());
+        let Budget { losses, duplicates, early_timers, crashes, restarts } = state.budget;
+        // The owners only own: with one copy each would read the other's page, and nothing new would come of it.
+        let is_wanted = |op: &Op| !matches!(op, Op::Read { node: 1.., .. });
+        actions.extend(state.world.enabled().into_iter().filter(is_wanted));
         let is_early = |(_, is_early): &(Op, bool)| !is_early || early_timers > 0;
         actions.extend(state.world.timers().into_iter().filter(is_early).map(|(op, _)| op));
         for message in (0..state.world.message_count()).filter_map(|index| u8::try_from(index).ok()) {
             actions.extend((losses > 0).then_some(Op::Drop(message)));
             actions.extend((duplicates > 0).then_some(Op::Duplicate(message)));
-            if strays > 0 {
-                actions.extend(Stray::ALL.map(|how| Op::Stray { message, how }));
-            }
+            // As many as there may be: they change nothing.
+            actions.extend(Stray::ALL.map(|how| Op::Stray { message, how }));
         }
         for owner in 1..3 {
             actions.extend((crashes > 0).then_some(Op::Crash(owner)));
@@ -137,11 +167,11 @@ impl Model for Cluster {
             Property::always(NO_WAITER_LOST, |_, state: &State| {
                 state.broken.is_some() || state.world.is_at_rest() || state.can_go_on()
             }),
-            Property::sometimes("a page is evicted", |_, state: &State| state.reached.eviction),
-            Property::sometimes("another copy is asked", |_, state: &State| state.reached.failover),
-            Property::sometimes("a peer is found dead", |_, state: &State| state.reached.death),
-            Property::sometimes("a new incarnation answers", |_, state: &State| state.reached.restart),
-            Property::sometimes("an answer comes late", |_, state: &State| state.reached.late),
+            Property::sometimes(EVICTION, |_, state: &State| state.reached.eviction),
+            Property::sometimes(FAILOVER, |_, state: &State| state.reached.failover),
+            Property::sometimes(DEATH, |_, state: &State| state.reached.death),
+            Property::sometimes(RETURN, |_, state: &State| state.reached.restart),
+            Property::sometimes(LATE, |_, state: &State| state.reached.late),
         ]
     }
 }
@@ -162,7 +192,6 @@ impl Budget {
             Op::Duplicate(_) => self.duplicates -= 1,
             Op::Crash(_) => self.crashes -= 1,
             Op::Restart(_) => self.restarts -= 1,
-            Op::Stray { .. } => self.strays -= 1,
             Op::Timer { .. } => {
                 let is_early = world.timers().into_iter().any(|(op, is_early)| op == action && is_early);
                 self.early_timers -= u8::from(is_early);
@@ -195,9 +224,10 @@ impl PartialEq for State {
     }
 }
 
-/// Looks at every state, or at those before the first in which something does not hold.
-pub(crate) fn explore(cluster: Cluster) -> Explored {
-    let checker = cluster.checker().threads(2).spawn_bfs().join();
+/// Looks at every state, or, if that is enough, until the first in which something does not hold.
+pub(crate) fn explore(cluster: Cluster, until_broken: bool) -> Explored {
+    let end = if until_broken { HasDiscoveries::AnyFailures } else { HasDiscoveries::All };
+    let checker = cluster.checker().threads(2).finish_when(end).spawn_bfs().join();
     let mut broken = None;
     for name in [SAFE, NO_PAGE_LOST, NO_WAITER_LOST] {
         if let Some(path) = checker.discovery(name) {
@@ -205,15 +235,9 @@ pub(crate) fn explore(cluster: Cluster) -> Explored {
             broken.get_or_insert(format!("{name}: {why}\n{:?}", path.into_actions()));
         }
     }
-    let reachable = [
-        "a page is evicted",
-        "another copy is asked",
-        "a peer is found dead",
-        "a new incarnation answers",
-        "an answer comes late",
-    ];
+    let reachable = [EVICTION, FAILOVER, DEATH, RETURN, LATE];
     let unreached = reachable.into_iter().filter(|name| checker.discovery(name).is_none()).collect();
-    Explored { unique: checker.unique_state_count(), generated: checker.state_count(), broken, unreached }
+    Explored { states: checker.unique_state_count(), transitions: checker.state_count(), broken, unreached }
 }
 
 /// What a panic said.
