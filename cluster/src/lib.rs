@@ -32,7 +32,7 @@ pub mod command_line;
 mod control;
 mod link;
 mod node;
-mod noted;
+pub mod noted;
 mod output;
 mod painter;
 mod picture;

@@ -7,7 +7,7 @@ use rt_core::SceneMemory;
 
 /// The pages that a thread has used since it last took them.
 #[derive(Debug)]
-pub(crate) struct Notes {
+pub struct Notes {
     page_shift: u32,
     /// The page of the last record, `u64::MAX` before the first.
     last: Cell<u64>,
@@ -20,13 +20,15 @@ pub(crate) struct Notes {
 ///
 /// A record of the same page as the one before costs a shift and a comparison.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Noted<'a, M> {
+pub struct Noted<'a, M> {
     memory: M,
     notes: &'a Notes,
 }
 
 impl Notes {
-    pub(crate) fn new(page_bytes: u32, image_bytes: u64) -> Self {
+    /// Nothing noted of an image yet.
+    #[must_use]
+    pub fn new(page_bytes: u32, image_bytes: u64) -> Self {
         let pages = image_bytes.div_ceil(page_bytes.into());
         let words = usize::try_from(pages.div_ceil(64)).unwrap_or(0);
         Self {
@@ -38,7 +40,7 @@ impl Notes {
     }
 
     /// Gives the pages that were used since the last call to `use_pages`, each once, in the order of their first use.
-    pub(crate) fn take(&self, use_pages: impl FnOnce(&[PageId])) {
+    pub fn take(&self, use_pages: impl FnOnce(&[PageId])) {
         let mut pages = self.pages.borrow_mut();
         use_pages(&pages);
         for page in pages.drain(..) {
@@ -69,7 +71,8 @@ impl Notes {
 }
 
 impl<'a, M> Noted<'a, M> {
-    pub(crate) const fn new(memory: M, notes: &'a Notes) -> Self {
+    /// Notes what is read of `memory`.
+    pub const fn new(memory: M, notes: &'a Notes) -> Self {
         Self { memory, notes }
     }
 }

@@ -1,5 +1,6 @@
 //! Misses of every replacement policy over the fewest there can be, on recorded traces.
 
+mod hints;
 mod min;
 mod order;
 mod replays;
@@ -90,8 +91,11 @@ fn run(effort: Effort) -> Result<Findings> {
     aims.push(aim_never_worse_than_random(&raced));
     let prefetch = prefetch_table(&raced);
     aims.extend(raced.iter().flat_map(prefetch_aims));
+    effort.say("timing hints");
+    let (hints, hint_aims) = hints::measure(effort)?;
+    aims.extend(hint_aims);
     Ok(Findings {
-        tables: vec![policies_table(&raced), hidden_table(&raced), order::table(&raced), prefetch],
+        tables: vec![policies_table(&raced), hidden_table(&raced), order::table(&raced), prefetch, hints],
         aims,
         plot: Some(Plot {
             charts: raced.iter().filter(|raced| raced.trace.nodes == 1).map(Raced::chart).collect(),
