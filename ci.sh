@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The same words at a desk and in continuous integration:
-#   ./ci.sh {setup|fmt|lint|test|doc|nostd|loom|fuzz|bench|same-image|all}
+#   ./ci.sh {setup|fmt|lint|test|doc|nostd|loom|mutants|fuzz|bench|same-image|all}
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -57,6 +57,11 @@ loom() {
     RUSTFLAGS="--cfg loom" cargo test -p transport-shm --test loom --release --locked --target-dir target/loom
 }
 
+# Puts faults into the protocol, one at a time, and prints which engine notices which. Half a minute.
+mutants() {
+    RUSTFLAGS="--cfg mutants" cargo test -p dsm-core --test mutants --release --locked --target-dir target/mutants -- --nocapture
+}
+
 fuzz() {
     setup
     local target
@@ -81,6 +86,7 @@ all() {
     doc
     nostd
     loom
+    mutants
     tests
     fuzz
 }
@@ -88,6 +94,6 @@ all() {
 case "${1:-all}" in
     test) tests ;;
     same-image) same_image ;;
-    setup | fmt | lint | doc | nostd | loom | fuzz | bench | all) "$1" ;;
+    setup | fmt | lint | doc | nostd | loom | mutants | fuzz | bench | all) "$1" ;;
     *) sed -n '2,3p' "$0" >&2; exit 2 ;;
 esac

@@ -8,6 +8,7 @@
 //! | [`command_line`] | names and flags |
 //! | [`table1`] | hits and misses, as in the paper's Table 1 |
 //! | [`scaling`] | frame rate over nodes and memory |
+//! | [`paging_core`] | what one fault costs the state machine alone |
 //! | [`replacement`] | misses of the replacement policies, and what prefetch spares |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
 //! | [`findings`], [`table`], [`plot`], [`spread`] | what an experiment gives back, and how it is shown |
@@ -29,6 +30,7 @@ mod findings;
 mod machine;
 mod memory;
 mod owner;
+mod paging_core;
 mod plot;
 mod quiet;
 mod replacement;

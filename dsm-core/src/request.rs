@@ -4,6 +4,7 @@ use core::hash::{Hash, Hasher};
 
 use crate::fragments::Fragments;
 use crate::id::{NodeId, PageId, PortId};
+use crate::mutants::{self, Mutant};
 use crate::time::Instant;
 
 /// What a node knows of one request under way, in 80 bytes. Opaque; start with [`RequestEntry::EMPTY`].
@@ -71,7 +72,7 @@ impl RequestEntry {
     };
 
     pub(crate) fn next_event(&self) -> Instant {
-        self.resend_at.min(self.deadline)
+        if mutants::is_on(Mutant::NeverExpire) { self.resend_at } else { self.resend_at.min(self.deadline) }
     }
 
     /// Feeds a hash with all of it but its number, times as distances from `now`.
@@ -113,7 +114,7 @@ impl<'s> Requests<'s> {
 
     /// The place of the request for `page` when it has this number.
     pub(crate) fn find(&self, page: PageId, number: u32) -> Option<usize> {
-        let any_number = crate::mutants::is_on(crate::mutants::Mutant::SkipNumberCheck);
+        let any_number = mutants::is_on(Mutant::SkipNumberCheck);
         self.iter()
             .position(|request| request.page == page)
             .filter(|index| self.entries[*index].number == number || any_number)

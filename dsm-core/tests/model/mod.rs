@@ -57,6 +57,9 @@ pub(crate) struct Explored {
     pub(crate) unreached: Vec<&'static str>,
 }
 
+/// A protocol with a fault may reach states without end.
+const TRANSITIONS_MAX: usize = 300_000;
+
 const SAFE: &str = "every invariant holds";
 const NO_PAGE_LOST: &str = "no page with a live copy fails";
 const NO_WAITER_LOST: &str = "whoever waits is served in the end";
@@ -151,6 +154,8 @@ impl Model for Cluster {
         next.budget.spend(action, &last.world);
         let applied = catch_unwind(AssertUnwindSafe(|| next.world.apply(action)));
         if let Err(panic) = applied {
+            // Where it broke off it is good for nothing; the last good world stands for it.
+            next.world = last.world.clone();
             next.broken = Some(text_of(&*panic));
             return Some(next);
         }
@@ -224,10 +229,15 @@ impl PartialEq for State {
     }
 }
 
-/// Looks at every state, or, if that is enough, until the first in which something does not hold.
+/// Looks at every state; or, if that is enough, at so many that a fault shows which shows at all.
 pub(crate) fn explore(cluster: Cluster, until_broken: bool) -> Explored {
-    let end = if until_broken { HasDiscoveries::AnyFailures } else { HasDiscoveries::All };
-    let checker = cluster.checker().threads(2).finish_when(end).spawn_bfs().join();
+    let checker = cluster.checker().threads(2);
+    let checker = if until_broken {
+        checker.finish_when(HasDiscoveries::AnyFailures).target_state_count(TRANSITIONS_MAX)
+    } else {
+        checker
+    };
+    let checker = checker.spawn_bfs().join();
     let mut broken = None;
     for name in [SAFE, NO_PAGE_LOST, NO_WAITER_LOST] {
         if let Some(path) = checker.discovery(name) {
