@@ -9,6 +9,8 @@ use rt_core::SceneMemory;
 #[derive(Debug)]
 pub struct Notes {
     page_shift: u32,
+    /// The page of the last record, `u64::MAX` before the first.
+    last: Cell<u64>,
     /// A bit for each page that is in `pages`.
     seen: Vec<Cell<u64>>,
     pages: RefCell<Vec<PageId>>,
@@ -16,8 +18,7 @@ pub struct Notes {
 
 /// A scene's memory, and notes of which pages of it are used.
 ///
-/// A record of a page that was used before costs a look at its bit, and a branch that is nearly always the same: to compare
-/// with the page of the last record costs three times as much, because nobody can predict the outcome.
+/// A record of the same page as the one before costs a shift and a comparison.
 #[derive(Clone, Copy, Debug)]
 pub struct Noted<'a, M> {
     memory: M,
@@ -32,6 +33,7 @@ impl Notes {
         let words = usize::try_from(pages.div_ceil(64)).unwrap_or(0);
         Self {
             page_shift: page_bytes.trailing_zeros(),
+            last: Cell::new(u64::MAX),
             seen: vec![Cell::new(0); words],
             pages: RefCell::new(Vec::new()),
         }
@@ -44,29 +46,28 @@ impl Notes {
         for page in pages.drain(..) {
             self.seen[page.index() / 64].set(0);
         }
+        self.last.set(u64::MAX);
     }
 
     #[inline]
     fn record(&self, offset: u64) {
         let page = offset >> self.page_shift;
-        let word = usize::try_from(page / 64).ok().and_then(|word| self.seen.get(word));
-        if let Some(word) = word
-            && word.get() & bit_of(page) == 0
-        {
-            self.note(page, word);
+        if page != self.last.get() {
+            self.note(page);
         }
     }
 
-    #[cold]
-    fn note(&self, page: u64, word: &Cell<u64>) {
-        word.set(word.get() | bit_of(page));
-        // There is a bit for it, so its number fits.
-        self.pages.borrow_mut().extend(u32::try_from(page).map(PageId));
+    #[inline(never)]
+    fn note(&self, page: u64) {
+        self.last.set(page);
+        let Ok(number) = u32::try_from(page) else { return };
+        let Some(word) = self.seen.get(PageId(number).index() / 64) else { return };
+        let bit = 1 << (page % 64);
+        if word.get() & bit == 0 {
+            word.set(word.get() | bit);
+            self.pages.borrow_mut().push(PageId(number));
+        }
     }
-}
-
-const fn bit_of(page: u64) -> u64 {
-    1 << (page % 64)
 }
 
 impl<'a, M> Noted<'a, M> {
