@@ -9,6 +9,7 @@
 //! | [`table1`] | hits and misses, as in the paper's Table 1 |
 //! | [`scaling`] | frame rate over nodes and memory |
 //! | [`paging_core`] | what one fault costs the state machine alone |
+//! | [`replacement`] | misses of the replacement policies, and what prefetch spares |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
 //! | [`left_out`] | what a scene does not need |
 //! | [`sim`] | the simulator: events a second |
@@ -35,6 +36,7 @@ mod owner;
 mod paging_core;
 mod plot;
 mod quiet;
+mod replacement;
 mod scaling;
 mod sim;
 mod space;

@@ -137,6 +137,10 @@ impl<'s> Requests<'s> {
         self.count == self.entries.len()
     }
 
+    pub(crate) fn capacity(&self) -> usize {
+        self.entries.len()
+    }
+
     pub(crate) fn len(&self) -> usize {
         self.count
     }

@@ -168,10 +168,13 @@ impl<R: Replacement> Node<'_, R> {
         let page = self.requests.remove(index).page;
         if let (Effect::Map, Some(slot)) = (self.apply(page, PageEvent::Grant), self.table.slot(page)) {
             self.stats.fetched_pages += 1;
+            if !self.table.slots_mut()[slot.index()].prefetched {
+                self.prefetch.used();
+            }
             self.push(Pending::Done(Output::Map { page, slot, bytes }));
             if mutants::is_on(Mutant::EvictInUse) {
                 self.apply(page, PageEvent::Filled);
-                self.replacement.handle_resident(self.table.slots_mut(), slot);
+                self.residents.handle_resident(self.table.slots_mut(), slot);
             }
         }
         if was_full {

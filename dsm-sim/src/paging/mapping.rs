@@ -36,6 +36,8 @@ struct Bits(Vec<u64>);
 struct Slot {
     page: PageId,
     is_visible: bool,
+    /// Out of readers' sight, with its contents kept.
+    is_hidden: bool,
     contents: u64,
 }
 
@@ -50,7 +52,7 @@ struct Parts {
 impl Mapping {
     /// Nothing in the slots; the pages that `me` holds are there.
     pub(super) fn new(placement: &Stripes, me: NodeId, slot_count: u32, has_parts: bool) -> Self {
-        let slot = Slot { page: NO_PAGE, is_visible: false, contents: 0 };
+        let slot = Slot { page: NO_PAGE, is_visible: false, is_hidden: false, contents: 0 };
         let mut own = Bits::new(placement.page_count());
         placement.held_stripes_of(me).flatten().for_each(|page| own.set(PageId(page), true));
         Self {
@@ -66,7 +68,7 @@ impl Mapping {
     pub(super) fn clear(&mut self) {
         self.visible.0.fill(0);
         self.visible_count = 0;
-        self.slots.iter_mut().for_each(|slot| slot.is_visible = false);
+        self.slots.iter_mut().for_each(|slot| (slot.is_visible, slot.is_hidden) = (false, false));
         self.parts.fill(Parts::NONE);
     }
 
@@ -117,20 +119,38 @@ impl Mapping {
             "SLOT_HOLDS_ONE_PAGE: {page} fills {slot:?}, where readers see {}",
             place.page
         );
-        *place = Slot { page, is_visible: true, contents };
+        *place = Slot { page, is_visible: true, is_hidden: false, contents };
         assert!(!self.is_seen(page), "SLOT_HOLDS_ONE_PAGE: {page} is seen elsewhere already");
         self.visible.set(page, true);
         self.visible_count += 1;
         assert!(self.visible_count as usize <= self.slots.len(), "BOUNDED: {} pages", self.visible_count);
     }
 
-    /// Takes a page away from its readers.
+    /// Takes a page away from its readers, or from where it was hidden.
     pub(super) fn unmap(&mut self, page: PageId, slot: SlotId) {
         let place = &mut self.slots[slot.index()];
-        assert!(place.is_visible && place.page == page, "a victim, {page}, is not in {slot:?}");
-        place.is_visible = false;
+        let is_there = (place.is_visible || place.is_hidden) && place.page == page;
+        assert!(is_there, "a victim, {page}, is not in {slot:?}");
+        let was_visible = core::mem::replace(&mut place.is_visible, false);
+        place.is_hidden = false;
+        self.visible.set(page, false);
+        self.visible_count -= u32::from(was_visible);
+    }
+
+    /// Takes a page from its readers' sight and keeps it.
+    pub(super) fn hide(&mut self, page: PageId, slot: SlotId) {
+        let place = &mut self.slots[slot.index()];
+        assert!(place.is_visible && place.page == page, "{page} is hidden and is not in {slot:?}");
+        (place.is_visible, place.is_hidden) = (false, true);
         self.visible.set(page, false);
         self.visible_count -= 1;
+    }
+
+    /// The contents of a page that is hidden.
+    pub(super) fn kept(&self, page: PageId, slot: SlotId) -> u64 {
+        let place = &self.slots[slot.index()];
+        assert!(place.is_hidden && place.page == page, "RIGHT_PAGE: {page} is shown and is not in {slot:?}");
+        place.contents
     }
 
     /// A thread reads a page that it sees, and that the state machine says is in `slot`.

@@ -180,9 +180,9 @@ impl<'s, R: Replacement> Member<'s, R> {
         let is_on_its_way = self.is_on_its_way(page);
         let thread = &mut self.threads[usize::from(index)];
         match answer {
-            Fault::Fetch if is_on_its_way => thread.doing = Doing::Fetching,
+            Fault::Fetch | Fault::Show if is_on_its_way => thread.doing = Doing::Fetching,
             // It has failed already: nobody who holds it is alive.
-            Fault::Fetch => self.fault(io, index, false),
+            Fault::Fetch | Fault::Show => self.fault(io, index, false),
             Fault::Wait => thread.doing = Doing::WaitingForPage,
             Fault::Full => {
                 thread.doing = if victims > 0 { Doing::Evicting } else { Doing::WaitingForSlot };
@@ -222,6 +222,7 @@ impl<'s, R: Replacement> Member<'s, R> {
                     let contents = match bytes {
                         PageBytes::InMessage => contents,
                         PageBytes::Stored => self.mapping.gather(page, slot, page_bytes),
+                        PageBytes::Kept => self.mapping.kept(page, slot),
                     };
                     io.work(costs.fill_ns, Task::Filled { page, slot, contents });
                 }
@@ -229,6 +230,7 @@ impl<'s, R: Replacement> Member<'s, R> {
                     victims += 1;
                     io.work(costs.unmap_ns * u64::from(victims), Task::Unmapped { page, slot });
                 }
+                Output::Hide { page, slot } => io.work(costs.unmap_ns, Task::Covered { page, slot }),
                 Output::WakePage { page } => {
                     let is_meant =
                         |thread: &Thread| thread.doing == Doing::WaitingForPage && thread.page == page;
@@ -393,6 +395,12 @@ impl<R: Replacement> Actor for Member<'_, R> {
                 let Some(node) = &mut self.node else { return };
                 self.mapping.unmap(page, slot);
                 node.handle_unmapped(io.clock(), page);
+                let _ = self.drain(io, 0);
+            }
+            Task::Covered { page, slot } => {
+                let Some(node) = &mut self.node else { return };
+                self.mapping.hide(page, slot);
+                node.handle_covered(io.clock(), page);
                 let _ = self.drain(io, 0);
             }
             Task::Timer { at } if at == self.timer_at => self.look_after_requests(io),

@@ -52,6 +52,13 @@ pub enum Task {
         /// The slot it lay in.
         slot: SlotId,
     },
+    /// The page is out of its readers' sight and kept.
+    Covered {
+        /// The page.
+        page: PageId,
+        /// Its slot.
+        slot: SlotId,
+    },
     /// Requests have to be looked after.
     Timer {
         /// When this was thought to be. Another time may have been set since.
