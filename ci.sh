@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The same words at a desk and in continuous integration:
-#   ./ci.sh {setup|fmt|lint|test|doc|nostd|loom|fuzz|bench|same-image|all}
+#   ./ci.sh {setup|fmt|lint|test|doc|nostd|loom|mutants|fuzz|bench|same-image|all}
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -19,13 +19,14 @@ fmt() {
     cargo fmt --all --check
     cargo fmt --manifest-path tests/freestanding/Cargo.toml --check
     cargo fmt --manifest-path fuzz/Cargo.toml --check
+    cargo fmt --manifest-path bench/left-out/Cargo.toml --check
 }
 
 lint() {
     cargo clippy --workspace --all-targets --locked -- -D warnings
     cargo clippy --manifest-path fuzz/Cargo.toml --locked -- -D warnings
     local features
-    for features in triangles spheres spheres,volumes spheres,lanes-avx2,lanes-avx512; do
+    for features in triangles spheres spheres,volumes triangles,shadows,lanes-avx512 spheres,shadows,lanes-avx2,lanes-avx512; do
         cargo clippy -p rt-core --lib --no-default-features --features "$features" --locked -- -D warnings
     done
 }
@@ -57,6 +58,11 @@ loom() {
     RUSTFLAGS="--cfg loom" cargo test -p transport-shm --test loom --release --locked --target-dir target/loom
 }
 
+# Puts faults into the protocol, one at a time, and prints which engine notices which. Half a minute.
+mutants() {
+    RUSTFLAGS="--cfg mutants" cargo test -p dsm-core --test mutants -p dsm-sim --test scenarios --release --locked --target-dir target/mutants -- --nocapture
+}
+
 fuzz() {
     setup
     local target
@@ -81,6 +87,7 @@ all() {
     doc
     nostd
     loom
+    mutants
     tests
     fuzz
 }
@@ -88,6 +95,6 @@ all() {
 case "${1:-all}" in
     test) tests ;;
     same-image) same_image ;;
-    setup | fmt | lint | doc | nostd | loom | fuzz | bench | all) "$1" ;;
+    setup | fmt | lint | doc | nostd | loom | mutants | fuzz | bench | all) "$1" ;;
     *) sed -n '2,3p' "$0" >&2; exit 2 ;;
 esac

@@ -11,20 +11,25 @@ use crate::wire::Refusal;
 pub enum Failure {
     /// The address space has no such page.
     NoSuchPage,
-    /// Its home did not answer within the deadline.
+    /// Nobody who holds it answered within the deadline.
     NoAnswer {
-        /// The home node.
+        /// The node asked last.
         from: NodeId,
     },
-    /// Its home refused it.
+    /// Every node that holds it and is not dead refused it.
     Refused {
-        /// The home node.
+        /// The node that refused last.
         by: NodeId,
         /// What it said.
         why: Refusal,
     },
     /// No slot became free within the deadline.
     NoSlot,
+    /// Every node that holds it is dead.
+    Dead {
+        /// The node asked last.
+        last: NodeId,
+    },
 }
 
 impl Failure {
@@ -36,6 +41,7 @@ impl Failure {
             Self::Refused { by, why: Refusal::NotOwner } => 2 | (by.0 as u32) << 4,
             Self::Refused { by, why: Refusal::Unreadable } => 3 | (by.0 as u32) << 4,
             Self::NoSlot => 4,
+            Self::Dead { last } => 5 | (last.0 as u32) << 4,
         }
     }
 
@@ -48,6 +54,7 @@ impl Failure {
             2 => Self::Refused { by: node, why: Refusal::NotOwner },
             3 => Self::Refused { by: node, why: Refusal::Unreadable },
             4 => Self::NoSlot,
+            5 => Self::Dead { last: node },
             _ => Self::NoSuchPage,
         }
     }
@@ -57,9 +64,12 @@ impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NoSuchPage => write!(f, "the address space has no such page"),
-            Self::NoAnswer { from } => write!(f, "{from}, its home, did not answer within the deadline"),
-            Self::Refused { by, why } => write!(f, "{by}, asked as its home, refused it: {why}"),
+            Self::NoAnswer { from } => {
+                write!(f, "{from}, which holds it, did not answer within the deadline")
+            }
+            Self::Refused { by, why } => write!(f, "{by}, asked as its holder, refused it: {why}"),
             Self::NoSlot => write!(f, "no slot became free within the deadline"),
+            Self::Dead { last } => write!(f, "{last}, the last node that held it, is dead"),
         }
     }
 }
@@ -79,6 +89,7 @@ mod tests {
                 Failure::Refused { by: node, why: Refusal::NotOwner },
                 Failure::Refused { by: node, why: Refusal::Unreadable },
                 Failure::NoSlot,
+                Failure::Dead { last: node },
             ] {
                 assert_eq!(Failure::from_bits(failure.to_bits()), failure);
                 assert!(failure.to_bits() < 1 << 20);

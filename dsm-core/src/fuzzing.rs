@@ -5,7 +5,7 @@ use crate::id::{NodeId, PageId, PortId};
 use crate::node::{Config, Fault, Node, Output};
 use crate::placement::Stripes;
 use crate::replacement::{Policy, PolicyKind};
-use crate::storage::{PageEntry, SlotEntry, Storage};
+use crate::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
 use crate::time::Instant;
 use crate::wire::{HEADER_BYTES, Message};
 
@@ -25,7 +25,9 @@ pub fn message(bytes: &[u8]) {
     let _ = Home::new(NodeId(0), config.cluster, config.epoch, placement, 4096).handle_message(bytes);
 
     let (mut pages, mut slots) = ([PageEntry::EMPTY; 6], [SlotEntry::EMPTY; 2]);
-    let storage = Storage { pages: &mut pages, slots: &mut slots };
+    let (mut peers, mut requests) = ([PeerEntry::EMPTY; 2], [RequestEntry::EMPTY; 4]);
+    let storage =
+        Storage { pages: &mut pages, slots: &mut slots, peers: &mut peers, requests: &mut requests };
     let Ok(mut node) = Node::new(config, storage, Policy::new(PolicyKind::Fifo, 1)) else { return };
     let now = Instant::ZERO;
     assert_eq!(node.handle_fault(now, PageId(1), PortId(0)), Fault::Fetch);
@@ -48,7 +50,7 @@ mod tests {
         fn bytes_from_outside_impress_nobody(
             mut bytes in prop::collection::vec(any::<u8>(), 0..48), looks_right in any::<bool>(), kind in 1u8..4,
         ) {
-            if looks_right && bytes.len() >= 32 {
+            if looks_right && bytes.len() >= crate::wire::HEADER_BYTES {
                 bytes[..4].copy_from_slice(&[b'M', b'S', crate::wire::VERSION, kind]);
                 bytes[4..16].fill(0);
                 bytes[16..].iter_mut().for_each(|byte| *byte %= 3);

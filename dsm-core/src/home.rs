@@ -5,17 +5,18 @@
 
 use core::fmt;
 
-use crate::id::{ClusterId, Epoch, NodeId, PageId};
+use crate::id::{ClusterId, Epoch, Incarnation, NodeId};
 use crate::placement::Stripes;
 use crate::stats::HomeStats;
 use crate::wire::{Body, Message, ParseError, Refusal};
 
-/// Answers requests for the pages that this node is home to.
-#[derive(Debug)]
+/// Answers requests for the pages that this node holds, as their home or as a replica.
+#[derive(Clone, Debug)]
 pub struct Home {
     me: NodeId,
     cluster: ClusterId,
     epoch: Epoch,
+    incarnation: Incarnation,
     placement: Stripes,
     page_bytes: u32,
     stats: HomeStats,
@@ -24,12 +25,13 @@ pub struct Home {
 /// What a home does about a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// Send `message`, and behind it the bytes of the home page with this index.
+    /// Send `message`, and behind it the bytes that it names of the page with this index. A transport that cannot carry
+    /// so many at once sends [`Message::fragments`] of it instead.
     Grant {
         /// The header to send, to `message.to`.
         message: Message,
-        /// Place of the page among this node's home pages.
-        home_index: u32,
+        /// Place of the page among the pages that this node holds.
+        held_index: u32,
     },
     /// Send `message`, which says no.
     Refuse {
@@ -52,10 +54,17 @@ pub enum HomeError {
     To(NodeId),
     /// It is no request.
     NotRequest,
+    /// It asks for bytes that no page has.
+    Range {
+        /// Where they would start.
+        offset: u32,
+        /// How many they would be.
+        bytes: u32,
+    },
 }
 
 impl Home {
-    /// A home of the pages that `placement` gives to `me`.
+    /// A home, in its first incarnation, of the pages that `placement` gives to `me`.
     #[must_use]
     pub const fn new(
         me: NodeId,
@@ -65,7 +74,13 @@ impl Home {
         page_bytes: u32,
     ) -> Self {
         let stats = HomeStats { granted_pages: 0, refused_requests: 0, refused_messages: 0 };
-        Self { me, cluster, epoch, placement, page_bytes, stats }
+        Self { me, cluster, epoch, incarnation: Incarnation(0), placement, page_bytes, stats }
+    }
+
+    /// The same home in a later incarnation.
+    #[must_use]
+    pub const fn in_incarnation(self, incarnation: Incarnation) -> Self {
+        Self { incarnation, ..self }
     }
 
     /// Takes one message and says what to send for it.
@@ -96,23 +111,38 @@ impl Home {
             Message { cluster, .. } if cluster != self.cluster => Err(HomeError::Cluster(cluster)),
             Message { epoch, .. } if epoch != self.epoch => Err(HomeError::Epoch(epoch)),
             Message { to, .. } if to != self.me => Err(HomeError::To(to)),
-            Message { body: Body::Request, .. } => Ok(message),
+            Message { body: Body::Request { offset, bytes }, .. } => match self.range(offset, bytes) {
+                Some(_) => Ok(message),
+                None => Err(HomeError::Range { offset, bytes }),
+            },
             Message { .. } => Err(HomeError::NotRequest),
         }
     }
 
     fn answer(&mut self, request: Message) -> Answer {
-        if let Some(home_index) = self.own_index(request.page) {
+        let range = match request.body {
+            Body::Request { offset, bytes } => self.range(offset, bytes),
+            Body::Grant { .. } | Body::Refusal(_) => None,
+        };
+        let held_index = self.placement.held_index(self.me, request.page);
+        if let (Some((offset, bytes)), Some(held_index)) = (range, held_index) {
             self.stats.granted_pages += 1;
-            Answer::Grant { message: request.grant(self.me, self.page_bytes), home_index }
+            let message = request.answer(self.me, self.incarnation, Body::Grant { offset, bytes });
+            Answer::Grant { message, held_index }
         } else {
             self.stats.refused_requests += 1;
-            Answer::Refuse { message: request.refusal(self.me, Refusal::NotOwner) }
+            let body = Body::Refusal(Refusal::NotOwner);
+            Answer::Refuse { message: request.answer(self.me, self.incarnation, body) }
         }
     }
 
-    fn own_index(&self, page: PageId) -> Option<u32> {
-        self.placement.home_index(page).filter(|_| self.placement.home(page) == Some(self.me))
+    /// The bytes that a request is for, as offset and length, when a page has them.
+    fn range(&self, offset: u32, bytes: u32) -> Option<(u32, u32)> {
+        let rest = self.page_bytes.checked_sub(offset).filter(|rest| *rest > 0)?;
+        match bytes {
+            0 => Some((offset, rest)),
+            _ => (bytes <= rest).then_some((offset, bytes)),
+        }
     }
 }
 
@@ -124,6 +154,9 @@ impl fmt::Display for HomeError {
             Self::Epoch(epoch) => write!(f, "message of epoch {}", epoch.0),
             Self::To(to) => write!(f, "message for {to}"),
             Self::NotRequest => write!(f, "message that is no request"),
+            Self::Range { offset, bytes } => {
+                write!(f, "request for {bytes} bytes from byte {offset} on, which no page has")
+            }
         }
     }
 }
@@ -133,6 +166,7 @@ impl core::error::Error for HomeError {}
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::id::PageId;
     use crate::wire::HEADER_BYTES;
 
     const CLUSTER: ClusterId = ClusterId(5);
@@ -149,9 +183,11 @@ mod tests {
             epoch: EPOCH,
             from: NodeId(0),
             to: NodeId(1),
+            from_incarnation: Incarnation(4),
+            to_incarnation: Incarnation(0),
             page: PageId(page),
             request: 77,
-            body: Body::Request,
+            body: Body::REQUEST,
         }
     }
 
@@ -164,8 +200,32 @@ mod tests {
     #[test]
     fn own_pages_are_granted_under_the_request_s_number() {
         let message = request(6).grant(NodeId(1), 4096);
-        assert_eq!(answer(&mut home(), request(6)), Ok(Answer::Grant { message, home_index: 2 }));
-        assert_eq!((message.to, message.request), (NodeId(0), 77));
+        assert_eq!(answer(&mut home(), request(6)), Ok(Answer::Grant { message, held_index: 2 }));
+        assert_eq!((message.to, message.to_incarnation, message.request), (NodeId(0), Incarnation(4), 77));
+    }
+
+    #[test]
+    fn replicas_are_granted_as_home_pages_are_and_say_which_incarnation_holds_them() {
+        let placement = Stripes::new(8, 2, NodeId(0), 2).unwrap().with_replicas(2).unwrap();
+        let mut home = Home::new(NodeId(1), CLUSTER, EPOCH, placement, 4096).in_incarnation(Incarnation(3));
+        let Ok(Answer::Grant { message, held_index }) = answer(&mut home, request(4)) else {
+            panic!("not granted")
+        };
+        assert_eq!((message.from_incarnation, held_index), (Incarnation(3), 6));
+    }
+
+    #[test]
+    fn a_part_is_granted_when_a_page_has_it() {
+        let with = |offset, bytes| Message { body: Body::Request { offset, bytes }, ..request(6) };
+        for (offset, bytes, granted) in [(0, 0, 4096), (4000, 0, 96), (16, 64, 64), (4095, 1, 1)] {
+            let Ok(Answer::Grant { message, .. }) = answer(&mut home(), with(offset, bytes)) else {
+                panic!("{offset}")
+            };
+            assert_eq!(message.body, Body::Grant { offset, bytes: granted });
+        }
+        for (offset, bytes) in [(4096, 0), (4095, 2), (0, 4097), (u32::MAX, u32::MAX)] {
+            assert_eq!(answer(&mut home(), with(offset, bytes)), Err(HomeError::Range { offset, bytes }));
+        }
     }
 
     #[test]
@@ -189,7 +249,7 @@ mod tests {
             Err(HomeError::Epoch(Epoch(1)))
         );
         assert_eq!(answer(&mut home, Message { to: NodeId(3), ..request(6) }), Err(HomeError::To(NodeId(3))));
-        let grant = Body::Grant { page_bytes: 4096 };
+        let grant = Body::Grant { offset: 0, bytes: 4096 };
         assert_eq!(answer(&mut home, Message { body: grant, ..request(6) }), Err(HomeError::NotRequest));
         assert_eq!(home.handle_message(b"MS"), Err(HomeError::Parse(ParseError::Truncated { got: 2 })));
         assert_eq!(home.stats(), HomeStats { refused_messages: 5, ..HomeStats::default() });

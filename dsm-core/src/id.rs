@@ -33,6 +33,13 @@ pub struct Epoch(pub u32);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct ClusterId(pub u64);
 
+/// Counts how often a node has come back under its number; a node that comes back is a new node.
+///
+/// Stands in every message, for its sender and for its receiver. A node must never come back with an incarnation it has
+/// had before in the same run: whoever starts it counts. After 65,535 returns a number is used up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Incarnation(pub u16);
+
 /// Nodes that a cluster can have at most.
 pub const MAX_NODES: u16 = 4096;
 

@@ -10,11 +10,13 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`id`], [`time`] | the numbers: pages, slots, nodes, ports; microseconds |
-//! | [`placement`] | which node is home to which page |
+//! | [`placement`] | which nodes hold which page |
 //! | [`page_state`] | the life of a page in a cache, as one table of state and event |
 //! | [`page_table`], [`storage`] | where that state is kept, in memory lent by the caller |
-//! | [`replacement`] | which page has to leave: `random`, `fifo`, `clock` |
-//! | [`request`] | what has been asked for and not yet answered |
+//! | [`replacement`] | which page has to leave: `random`, `fifo`, `clock`, `sieve`, `s3-fifo`, `recall` |
+//! | [`page_sets`] | what each tile touched in the last frame, which foretells the next |
+//! | `request`, `fragments` | what has been asked for and not yet answered, and which parts of it have come |
+//! | [`membership`], `round_trip` | which owners are alive, and how long to wait for an answer of each |
 //! | [`wire`] | the messages: parse and emit |
 //! | [`node`] | the state machine of a node that reads pages |
 //! | [`home`] | the state machine of a node that owns pages |
@@ -30,7 +32,7 @@
 //! use dsm_core::node::{Config, Fault, Node, Output};
 //! use dsm_core::placement::Stripes;
 //! use dsm_core::replacement::{Policy, PolicyKind};
-//! use dsm_core::storage::{PageEntry, SlotEntry, Storage};
+//! use dsm_core::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
 //! use dsm_core::id::{Epoch, NodeId, PageId, PortId};
 //! use dsm_core::time::Instant;
 //! use dsm_core::wire::{Body, Message, HEADER_BYTES};
@@ -40,7 +42,9 @@
 //! let config = Config::new(NodeId(0), placement, 16384);
 //! let mut pages = [PageEntry::EMPTY; 8];
 //! let mut slots = [SlotEntry::EMPTY; 2];
-//! let storage = Storage { pages: &mut pages, slots: &mut slots };
+//! let (mut peers, mut requests) = ([PeerEntry::EMPTY; 2], [RequestEntry::EMPTY; 4]);
+//! let storage =
+//!     Storage { pages: &mut pages, slots: &mut slots, peers: &mut peers, requests: &mut requests };
 //! let mut node = Node::new(config, storage, Policy::new(PolicyKind::Fifo, 1)).unwrap();
 //!
 //! // A thread touches page 3. The node wants a message sent to its home.
@@ -65,16 +69,25 @@
 #![forbid(unsafe_code)]
 
 pub mod failure;
+mod fragments;
 #[cfg(any(test, fuzzing))]
 pub mod fuzzing;
 pub mod home;
 pub mod id;
+pub mod membership;
+#[cfg(mutants)]
+pub mod mutants;
+#[cfg(not(mutants))]
+mod mutants;
 pub mod node;
+pub mod page_sets;
 pub mod page_state;
 pub mod page_table;
 pub mod placement;
+mod prefetch;
 pub mod replacement;
-pub mod request;
+mod request;
+mod round_trip;
 pub mod stats;
 pub mod storage;
 pub mod time;

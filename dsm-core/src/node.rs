@@ -3,24 +3,30 @@
 //! `Node` never waits. Facts go in with the time through `handle_*`, work comes out of [`Node::poll`], the driver
 //! does it. One input, then poll until [`Output::Idle`]: this bounds the outbox, and is checked.
 
+mod answers;
+mod asking;
 mod config;
+mod snapshot;
 
+pub use answers::MessageError;
 pub use config::{Config, ConfigError, EVICT_BATCH_MAX};
-
-use core::fmt;
+pub use snapshot::Snapshot;
 
 use heapless::Deque;
 
 use crate::failure::Failure;
-use crate::id::{ClusterId, Epoch, NodeId, PageId, PortId, SlotId};
+use crate::id::{Incarnation, NodeId, PageId, PortId, SlotId};
+use crate::membership::{Liveness, Membership};
+use crate::mutants::{self, Mutant};
 use crate::page_state::{Effect, PageEvent, PageState};
-use crate::page_table::PageTable;
-use crate::replacement::{Policy, Replacement};
-use crate::request::{Due, Request, Requests};
+use crate::page_table::{PageTable, StorageError};
+use crate::prefetch::Account;
+use crate::replacement::{Policy, Replacement, Residents};
+use crate::request::Requests;
 use crate::stats::NodeStats;
-use crate::storage::Storage;
-use crate::time::Instant;
-use crate::wire::{Body, Message, ParseError};
+use crate::storage::{PeerEntry, Storage};
+use crate::time::{Instant, SteadyClock};
+use crate::wire::Message;
 
 /// A node that reads pages of other nodes through a bounded cache.
 ///
@@ -34,12 +40,15 @@ use crate::wire::{Body, Message, ParseError};
 pub struct Node<'s, R: Replacement = Policy> {
     config: Config,
     table: PageTable<'s>,
-    requests: Requests,
-    replacement: R,
+    requests: Requests<'s>,
+    membership: Membership<'s>,
+    residents: Residents<R>,
+    clock: SteadyClock,
     outbox: Deque<Pending, OUTBOX>,
     /// A thread waits for a slot, any slot.
     slot_waited_for: bool,
     next_number: u32,
+    prefetch: Account,
     stats: NodeStats,
 }
 
@@ -56,6 +65,8 @@ pub enum Fault {
     /// Every slot is on its way in or out. If the poll gave pages to unmap, do that; else wait until those who wait
     /// for slots are woken. Then call [`Node::handle_fault_again`].
     Full,
+    /// The page was hidden, and you show it: do what the poll says, call [`Node::handle_filled`], and go on.
+    Show,
     /// The page cannot be had.
     Failed(Failure),
 }
@@ -73,19 +84,40 @@ pub enum Output {
         /// Bytes to send.
         len: usize,
     },
-    /// The bytes of `page` that came with the message belong into `slot`: fill it, make the whole page visible at
-    /// once, then call [`Node::handle_filled`].
+    /// The bytes that came with the message are a part of `page`: put them aside, where the parts of the page in `slot`
+    /// are gathered. No reader sees them yet.
+    Store {
+        /// The page of which a part arrived.
+        page: PageId,
+        /// The slot kept for it.
+        slot: SlotId,
+        /// Where in the page the part starts.
+        offset: u32,
+        /// Its length.
+        bytes: u32,
+    },
+    /// All bytes of `page` are here and belong into `slot`: fill it, make the whole page visible at once, then call
+    /// [`Node::handle_filled`].
     Map {
         /// The page that arrived.
         page: PageId,
         /// The slot kept for it.
         slot: SlotId,
+        /// Where the bytes are.
+        bytes: PageBytes,
     },
     /// Take `page` away from its readers, then call [`Node::handle_unmapped`]. Until then nobody else gets `slot`.
     Unmap {
         /// The victim.
         page: PageId,
         /// The slot it lies in.
+        slot: SlotId,
+    },
+    /// Take `page` from its readers' sight but keep its bytes in `slot`, then call [`Node::handle_covered`].
+    Hide {
+        /// The page that replacement wants to know more of.
+        page: PageId,
+        /// The slot it lies in, and stays in.
         slot: SlotId,
     },
     /// Wake every thread that waits for `page`.
@@ -99,42 +131,24 @@ pub enum Output {
     Idle(Option<Instant>),
 }
 
-/// Why the bytes of a message were refused. The node's state has not changed, but for a counter.
+/// Where the bytes of a page are that has arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum MessageError {
-    /// The bytes are no message.
-    Parse(ParseError),
-    /// It belongs to another run.
-    Cluster(ClusterId),
-    /// It was sent in another epoch.
-    Epoch(Epoch),
-    /// It is for another node.
-    To(NodeId),
-    /// The address space has no such page.
-    NoSuchPage(PageId),
-    /// `from` is not the home of the page it sent.
-    NotOwner {
-        /// The page.
-        page: PageId,
-        /// The sender.
-        from: NodeId,
-    },
-    /// A page of another length than this cluster's.
-    PageBytes {
-        /// The length it gives.
-        got: u32,
-    },
-    /// A request; those go to [`Home`](crate::home::Home).
-    Request,
-    /// An answer to no request that is under way: it came late, or twice.
-    Late(PageId),
+pub enum PageBytes {
+    /// All of them came with the message.
+    InMessage,
+    /// They were gathered as [`Output::Store`] said, the last of them just now.
+    Stored,
+    /// They have been in the slot all the time: the page was hidden.
+    Kept,
 }
 
 /// Outputs that one input can cause.
-pub const OUTBOX: usize = EVICT_BATCH_MAX as usize + 4;
+pub const OUTBOX: usize = (1 + HIDES_PER_VICTIM) * EVICT_BATCH_MAX as usize + 4;
 
-/// Requests that one call of [`Node::handle_timeout`] looks after; each can cause two outputs.
+/// Pages hidden for each that leaves, at most: so their number grows to what it may be.
+const HIDES_PER_VICTIM: usize = 2;
+
+/// Requests that one call of [`Node::handle_timeout`] looks after; each can cause two outputs. Those left over stay due.
 const DUE_MAX: usize = OUTBOX / 2;
 
 /// An output before it is polled.
@@ -151,16 +165,42 @@ impl<'s, R: Replacement> Node<'s, R> {
     /// The configuration contradicts itself or the storage.
     pub fn new(config: Config, storage: Storage<'s>, replacement: R) -> Result<Self, ConfigError> {
         config.check()?;
+        let Storage { pages, slots, peers, requests } = storage;
+        let (placement, me) = (&config.placement, config.me);
+        let table = PageTable::new(pages, slots, placement, me).map_err(ConfigError::Storage)?;
+        let needed = placement.owner_count();
+        if peers.len() != usize::from(needed) {
+            return Err(ConfigError::Storage(StorageError::Peers { needed, got: peers.len() }));
+        }
+        if requests.is_empty() && placement.held_pages(me) < placement.page_count() {
+            return Err(ConfigError::Storage(StorageError::NoRequests));
+        }
+        peers.fill(PeerEntry::EMPTY);
         Ok(Self {
-            table: PageTable::new(storage, &config.placement, config.me).map_err(ConfigError::Storage)?,
+            table,
+            requests: Requests::new(requests, 0),
+            membership: Membership::new(peers, placement.first_owner(), config.patience(), config.limits()),
+            residents: Residents::new(replacement, config.hidden_max),
             config,
-            requests: Requests::default(),
-            replacement,
+            clock: SteadyClock::default(),
             outbox: Deque::new(),
             slot_waited_for: false,
             next_number: 0,
+            prefetch: Account::new(),
             stats: NodeStats::default(),
         })
+    }
+
+    /// Gives the lent storage back, for a node that takes this one's place.
+    #[must_use]
+    pub fn into_storage(self) -> Storage<'s> {
+        let (pages, slots) = self.table.into_entries();
+        Storage {
+            pages,
+            slots,
+            peers: self.membership.into_entries(),
+            requests: self.requests.into_entries(),
+        }
     }
 
     /// A thread touched `page`, which was not mapped for it. It can be reached through `port`.
@@ -171,7 +211,7 @@ impl<'s, R: Replacement> Node<'s, R> {
             Fault::Wait => self.stats.merged_faults += 1,
             Fault::Ready => self.stats.ready_faults += 1,
             Fault::Full => self.stats.full_faults += 1,
-            Fault::Fetch | Fault::Failed(_) => {}
+            Fault::Fetch | Fault::Show | Fault::Failed(_) => {}
         }
         answer
     }
@@ -187,6 +227,7 @@ impl<'s, R: Replacement> Node<'s, R> {
     /// The message is not believed; it is counted and changes nothing.
     pub fn handle_message(&mut self, now: Instant, bytes: &[u8]) -> Result<(), MessageError> {
         self.expect_drained();
+        let now = self.clock.advance(now);
         match self.check(bytes).and_then(|message| self.accept(now, message)) {
             Err(error @ MessageError::Late(_)) => {
                 self.stats.late_answers += 1;
@@ -201,19 +242,33 @@ impl<'s, R: Replacement> Node<'s, R> {
     }
 
     /// The driver has filled the slot of `page` and made the page visible.
-    pub fn handle_filled(&mut self, _now: Instant, page: PageId) {
+    pub fn handle_filled(&mut self, now: Instant, page: PageId) {
         self.expect_drained();
+        self.clock.advance(now);
         if let Effect::Wake = self.apply(page, PageEvent::Filled) {
             if let Some(slot) = self.table.slot(page) {
-                self.replacement.handle_resident(self.table.slots_mut(), slot);
+                self.residents.handle_resident(self.table.slots_mut(), slot);
+            }
+            self.wake(page);
+        }
+    }
+
+    /// The driver has taken `page` from its readers' sight.
+    pub fn handle_covered(&mut self, now: Instant, page: PageId) {
+        self.expect_drained();
+        self.clock.advance(now);
+        if let Effect::Keep = self.apply(page, PageEvent::Covered) {
+            if let Some(slot) = self.table.slot(page) {
+                self.residents.handle_hidden(self.table.slots_mut(), slot);
             }
             self.wake(page);
         }
     }
 
     /// The driver has taken `page` away from its readers.
-    pub fn handle_unmapped(&mut self, _now: Instant, page: PageId) {
+    pub fn handle_unmapped(&mut self, now: Instant, page: PageId) {
         self.expect_drained();
+        self.clock.advance(now);
         if let Effect::Release = self.apply(page, PageEvent::Unmapped) {
             self.wake(page);
         }
@@ -224,25 +279,104 @@ impl<'s, R: Replacement> Node<'s, R> {
         if self.table.state(page) == Some(PageState::Resident)
             && let Some(slot) = self.table.slot(page)
         {
-            self.replacement.handle_reference(self.table.slots_mut(), slot);
+            self.residents.policy_mut().handle_reference(self.table.slots_mut(), slot);
+            if core::mem::take(&mut self.table.slots_mut()[slot.index()].prefetched) {
+                self.stats.prefetch_used += 1;
+                self.prefetch.used();
+            }
         }
     }
 
+    /// Pages are about to be brought that nobody waits for: makes slots free for up to `count` of them, if they can be had
+    /// for pages that are needed later.
+    ///
+    /// Gives the number that can be asked for, after what [`poll`](Self::poll) says has been carried out. 0 where it
+    /// has shown that it does not pay.
+    pub fn handle_prefetch_wish(&mut self, now: Instant, count: u32) -> u32 {
+        self.expect_drained();
+        self.clock.advance(now);
+        if !self.prefetch.allows() {
+            return 0;
+        }
+        let count = count.min(EVICT_BATCH_MAX);
+        while self.table.free_count() + self.table.leaving_count() < count {
+            let Some(slot) = self.residents.choose_victim_for_prefetch(self.table.slots_mut()) else { break };
+            self.evict_from(slot);
+        }
+        count.min(self.table.free_count() + self.table.leaving_count())
+    }
+
+    /// Asks for a page that nobody has touched, if it is absent and a slot is free and half of the requests are. Tells
+    /// whether it did; the answer comes to `port`.
+    pub fn handle_prefetch(&mut self, now: Instant, page: PageId, port: PortId) -> bool {
+        self.expect_drained();
+        let now = self.clock.advance(now);
+        let has_room = self.table.free_count() > 0 && 2 * self.requests.len() < self.requests.capacity();
+        if !has_room || self.table.state(page) != Some(PageState::Absent) {
+            return false;
+        }
+        if let Effect::SendRequest = self.apply(page, PageEvent::Fault) {
+            self.stats.prefetched_pages += 1;
+            if let Some(slot) = self.table.slot(page) {
+                self.table.slots_mut()[slot.index()].prefetched = true;
+            }
+            self.begin_request(now, page, port, 0);
+        }
+        true
+    }
+
+    /// The driver expects `page` to be used next at tile `next_use`. Without effect unless it is resident.
+    pub fn handle_forecast(&mut self, page: PageId, next_use: u32) {
+        if self.table.state(page) == Some(PageState::Resident)
+            && let Some(slot) = self.table.slot(page)
+        {
+            self.residents.policy_mut().handle_forecast(self.table.slots_mut(), slot, next_use);
+        }
+    }
+
+    /// Tile `now` is being drawn, and the next frame begins with tile `frame_end`, in the count of all tiles.
+    pub fn handle_clock(&mut self, now: u32, frame_end: u32) {
+        self.residents.policy_mut().handle_clock(now, frame_end);
+    }
+
     /// Time has passed for the requests that left through `port`. Early or repeated calls do nothing.
+    ///
+    /// Requests whose peer has died are due at once.
     pub fn handle_timeout(&mut self, now: Instant, port: PortId) {
         self.expect_drained();
+        let now = self.clock.advance(now);
         for _ in 0..DUE_MAX {
-            match self.requests.next_due(now, port) {
-                None => break,
-                Some(Due::Resend(request)) => {
-                    self.stats.resends += 1;
-                    self.send(request);
-                }
-                Some(Due::Expired(request)) => {
-                    self.fail(request.page, Failure::NoAnswer { from: request.home })
-                }
-            }
+            let Some(index) = self.requests.next_due(now, port) else { break };
+            self.look_after(now, index);
         }
+    }
+
+    /// The driver knows that `node` is dead: its connection broke, its process ended, the roster says so.
+    ///
+    /// What was asked of it is due at once, on its port: [`handle_timeout`](Self::handle_timeout) asks the next copy.
+    pub fn handle_peer_down(&mut self, now: Instant, node: NodeId) {
+        self.expect_drained();
+        let now = self.clock.advance(now);
+        if self.membership.bury(node) {
+            self.stats.dead_peers += 1;
+            self.make_due(now, node);
+        }
+    }
+
+    /// The driver knows that `node` is alive in this incarnation, otherwise than by a message given to this node. If it is
+    /// a later one than was known it is a new node, and what was asked of the old one is due at once. The dead stay dead.
+    pub fn handle_peer_heard(&mut self, now: Instant, node: NodeId, incarnation: Incarnation) {
+        self.expect_drained();
+        let now = self.clock.advance(now);
+        if self.membership.trusts(node, incarnation).is_ok() && self.membership.heard(node, incarnation) {
+            self.make_due(now, node);
+        }
+    }
+
+    /// Says how far away `node` is, in any unit. Of the live copies of a page the one that costs least is asked; of those
+    /// that cost the same, the home, then the others in an order that differs from stripe to stripe. All cost 0 at first.
+    pub fn set_cost(&mut self, node: NodeId, cost: u16) {
+        self.membership.set_cost(node, cost);
     }
 
     /// The next piece of work. A message to send is written to the start of `buffer`.
@@ -251,7 +385,7 @@ impl<'s, R: Replacement> Node<'s, R> {
     /// When `buffer` is shorter than [`HEADER_BYTES`](crate::wire::HEADER_BYTES).
     pub fn poll(&mut self, buffer: &mut [u8]) -> Output {
         match self.outbox.pop_front() {
-            None => Output::Idle(self.requests.next_event(None)),
+            None => Output::Idle(self.requests.next_event(None).map(|moment| self.clock.outside(moment))),
             Some(Pending::Done(output)) => output,
             Some(Pending::Send(port, message)) => {
                 Output::Transmit { to: message.to, port, len: message.emit(buffer) }
@@ -262,7 +396,31 @@ impl<'s, R: Replacement> Node<'s, R> {
     /// When [`handle_timeout`](Self::handle_timeout) will have something to do for `port`.
     #[must_use]
     pub fn next_timeout(&self, port: PortId) -> Option<Instant> {
-        self.requests.next_event(Some(port))
+        self.requests.next_event(Some(port)).map(|moment| self.clock.outside(moment))
+    }
+
+    /// What this node thinks of `node`; alive, when it owns nothing.
+    #[must_use]
+    pub fn liveness(&self, node: NodeId) -> Liveness {
+        self.membership.liveness(node)
+    }
+
+    /// The last incarnation of `node` that this node has heard of.
+    #[must_use]
+    pub fn incarnation_of(&self, node: NodeId) -> Incarnation {
+        self.membership.incarnation(node)
+    }
+
+    /// The smoothed round trip to `node` in microseconds, once it has been measured.
+    #[must_use]
+    pub fn round_trip_us(&self, node: NodeId) -> Option<u64> {
+        self.membership.round_trip_us(node)
+    }
+
+    /// Requests under way.
+    #[must_use]
+    pub fn request_count(&self) -> usize {
+        self.requests.len()
     }
 
     /// The configuration it was made with.
@@ -295,24 +453,38 @@ impl<'s, R: Replacement> Node<'s, R> {
             let requested = self.table.state(page) == Some(PageState::Requested);
             assert_eq!(under_way, usize::from(requested), "ONE_REQUEST: {page}");
         }
+        for request in self.requests.iter() {
+            let asks_holder = self.config.placement.holds(request.holder, request.page);
+            assert!(asks_holder, "ASKS_HOLDER: {} asked for {}", request.holder, request.page);
+        }
         if self.slot_waited_for {
-            let busy = self.table.slot_count() - self.table.free_count() - self.table.resident_count();
+            let idle = self.table.free_count() + self.table.resident_count() + self.table.hidden_count();
+            let busy = self.table.slot_count() - idle;
             assert!(busy > 0, "NO_LOST_WAITER: for a slot");
         }
     }
 
     fn answer_fault(&mut self, now: Instant, page: PageId, port: PortId, since: Instant) -> Fault {
         self.expect_drained();
+        let elapsed_us = now.since(since);
+        let now = self.clock.advance(now);
         let Some(state) = self.table.state(page) else { return Fault::Failed(Failure::NoSuchPage) };
         if state == PageState::Absent && (self.table.free_count() == 0 || self.requests.is_full()) {
-            return self.answer_full(now, since);
+            return self.answer_full(elapsed_us);
         }
         match self.apply(page, PageEvent::Fault) {
             Effect::SendRequest => {
-                self.begin_request(now, page, port, since);
+                self.begin_request(now, page, port, elapsed_us);
+                if self.table.free_count() + self.table.leaving_count() < self.config.evict_ahead {
+                    self.evict();
+                }
                 Fault::Fetch
             }
             Effect::Wait => Fault::Wait,
+            Effect::Show => {
+                self.show(page);
+                Fault::Show
+            }
             Effect::Refuse => Fault::Failed(self.table.failure(page)),
             _ => {
                 self.handle_reference(page);
@@ -322,8 +494,8 @@ impl<'s, R: Replacement> Node<'s, R> {
     }
 
     /// No slot is free, or no request is: make a slot free, unless some are becoming free already.
-    fn answer_full(&mut self, now: Instant, since: Instant) -> Fault {
-        if now.since(since) >= self.config.deadline_us {
+    fn answer_full(&mut self, elapsed_us: u64) -> Fault {
+        if elapsed_us >= self.config.deadline_us {
             return Fault::Failed(Failure::NoSlot);
         }
         if self.table.free_count() == 0 && self.table.leaving_count() == 0 {
@@ -333,79 +505,50 @@ impl<'s, R: Replacement> Node<'s, R> {
         Fault::Full
     }
 
-    fn begin_request(&mut self, now: Instant, page: PageId, port: PortId, since: Instant) {
-        let Some(home) = self.config.placement.home(page) else { return };
-        let request = Request {
-            page,
-            home,
-            port,
-            number: self.next_number,
-            resend_at: now.after(self.config.resend_us),
-            interval_us: self.config.resend_us,
-            deadline: since.after(self.config.deadline_us),
-        };
-        self.next_number = self.next_number.wrapping_add(1);
-        self.stats.requests += 1;
-        self.requests.push(request);
-        self.send(request);
-        if self.table.free_count() + self.table.leaving_count() < self.config.evict_ahead {
-            self.evict();
+    /// A hidden page was touched.
+    fn show(&mut self, page: PageId) {
+        self.stats.soft_faults += 1;
+        if let Some(slot) = self.table.slot(page) {
+            self.residents.handle_shown(self.table.slots_mut(), slot);
+            self.push(Pending::Done(Output::Map { page, slot, bytes: PageBytes::Kept }));
+        }
+    }
+
+    /// Has pages hidden, so that there are hidden ones to choose victims from.
+    fn hide(&mut self) {
+        for _ in 0..HIDES_PER_VICTIM * self.config.evict_batch as usize {
+            let Some(slot) = self.residents.choose_to_hide(self.table.slots_mut()) else { break };
+            let Some(page) = self.table.page_in(slot) else { continue };
+            if let Effect::Hide = self.apply(page, PageEvent::Hide) {
+                self.stats.hidden_pages += 1;
+                self.push(Pending::Done(Output::Hide { page, slot }));
+            }
         }
     }
 
     /// Chooses a batch of victims and has them taken away.
     fn evict(&mut self) {
         for _ in 0..self.config.evict_batch {
-            let Some(slot) = self.replacement.choose_victim(self.table.slots_mut()) else { break };
-            let Some(page) = self.table.page_in(slot) else { continue };
-            if let Effect::Unmap = self.apply(page, PageEvent::Evict) {
-                self.stats.evicted_pages += 1;
-                self.push(Pending::Done(Output::Unmap { page, slot }));
-            }
+            let Some(slot) = self.residents.choose_victim(self.table.slots_mut()) else { break };
+            self.evict_from(slot);
         }
+        self.hide();
     }
 
-    /// Believes a message or says why not, without looking at what was asked for.
-    fn check(&self, bytes: &[u8]) -> Result<Message, MessageError> {
-        let message = Message::parse(bytes).map_err(MessageError::Parse)?;
-        let Message { cluster, epoch, from, to, page, body, .. } = message;
-        if cluster != self.config.cluster {
-            return Err(MessageError::Cluster(cluster));
-        }
-        if epoch != self.config.epoch {
-            return Err(MessageError::Epoch(epoch));
-        }
-        if to != self.config.me {
-            return Err(MessageError::To(to));
-        }
-        match (self.config.placement.home(page), body) {
-            (None, _) => Err(MessageError::NoSuchPage(page)),
-            (_, Body::Request) => Err(MessageError::Request),
-            (Some(home), _) if home != from => Err(MessageError::NotOwner { page, from }),
-            (_, Body::Grant { page_bytes }) if page_bytes != self.config.page_bytes => {
-                Err(MessageError::PageBytes { got: page_bytes })
+    /// Has the page in `slot` taken away, which the policy has chosen.
+    fn evict_from(&mut self, slot: SlotId) {
+        let Some(page) = self.table.page_in(slot) else { return };
+        if let Effect::Unmap = self.apply(page, PageEvent::Evict) {
+            self.stats.evicted_pages += 1;
+            if core::mem::take(&mut self.table.slots_mut()[slot.index()].prefetched) {
+                self.stats.prefetch_wasted += 1;
+                self.prefetch.wasted();
             }
-            _ => Ok(message),
-        }
-    }
-
-    /// Acts on a message that is believed.
-    fn accept(&mut self, _now: Instant, message: Message) -> Result<(), MessageError> {
-        let Message { page, from, body, request, .. } = message;
-        self.requests.take(page, request).ok_or(MessageError::Late(page))?;
-        match body {
-            Body::Grant { page_bytes } => {
-                if let (Effect::Map, Some(slot)) = (self.apply(page, PageEvent::Grant), self.table.slot(page))
-                {
-                    self.stats.fetched_pages += 1;
-                    self.stats.received_bytes += u64::from(page_bytes);
-                    self.push(Pending::Done(Output::Map { page, slot }));
-                }
+            self.push(Pending::Done(Output::Unmap { page, slot }));
+            if mutants::is_on(Mutant::ReuseSlotEarly) {
+                self.apply(page, PageEvent::Unmapped);
             }
-            Body::Refusal(why) => self.fail(page, Failure::Refused { by: from, why }),
-            Body::Request => {}
         }
-        Ok(())
     }
 
     /// Gives `page` up. Its request has been taken out.
@@ -418,25 +561,17 @@ impl<'s, R: Replacement> Node<'s, R> {
     }
 
     fn wake(&mut self, page: PageId) {
-        if self.table.take_waited_for(page) {
+        if self.table.take_waited_for(page) && !mutants::is_on(Mutant::WakeNobody) {
             self.push(Pending::Done(Output::WakePage { page }));
         }
-        if core::mem::take(&mut self.slot_waited_for) {
-            self.push(Pending::Done(Output::WakeSlots));
-        }
+        self.wake_slots();
     }
 
-    fn send(&mut self, request: Request) {
-        let message = Message {
-            cluster: self.config.cluster,
-            epoch: self.config.epoch,
-            from: self.config.me,
-            to: request.home,
-            page: request.page,
-            request: request.number,
-            body: Body::Request,
-        };
-        self.push(Pending::Send(request.port, message));
+    /// Wakes whoever waits for a slot, or for a request to ask for a page with.
+    fn wake_slots(&mut self) {
+        if core::mem::take(&mut self.slot_waited_for) && !mutants::is_on(Mutant::WakeNoSlotWaiter) {
+            self.push(Pending::Done(Output::WakeSlots));
+        }
     }
 
     fn apply(&mut self, page: PageId, event: PageEvent) -> Effect {
@@ -455,24 +590,6 @@ impl<'s, R: Replacement> Node<'s, R> {
         debug_assert!(self.outbox.is_empty(), "one input, then poll until Idle");
     }
 }
-
-impl fmt::Display for MessageError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Parse(error) => write!(f, "{error}"),
-            Self::Cluster(cluster) => write!(f, "message of another cluster, {:#x}", cluster.0),
-            Self::Epoch(epoch) => write!(f, "message of epoch {}", epoch.0),
-            Self::To(to) => write!(f, "message for {to}"),
-            Self::NoSuchPage(page) => write!(f, "message about {page}, which does not exist"),
-            Self::NotOwner { page, from } => write!(f, "{from} sent {page} and is not its home"),
-            Self::PageBytes { got } => write!(f, "a page of {got} bytes"),
-            Self::Request => write!(f, "a request, and this is no home"),
-            Self::Late(page) => write!(f, "an answer about {page} that nobody waits for"),
-        }
-    }
-}
-
-impl core::error::Error for MessageError {}
 
 #[cfg(test)]
 mod tests;

@@ -1,12 +1,13 @@
 //! The state of every page, and the slots that pages lie in.
 
 use core::fmt;
+use core::hash::{Hash, Hasher};
 
 use crate::failure::Failure;
 use crate::id::{NodeId, PageId, SlotId};
 use crate::page_state::{Effect, PageEvent, PageState};
 use crate::placement::Stripes;
-use crate::storage::{NONE, PageEntry, SLOTS_MAX, SlotEntry, Storage};
+use crate::storage::{NONE, PageEntry, SLOTS_MAX, SlotEntry};
 
 /// All pages of the address space and all slots of this node, kept consistent with each other.
 ///
@@ -19,10 +20,18 @@ use crate::storage::{NONE, PageEntry, SLOTS_MAX, SlotEntry, Storage};
 pub struct PageTable<'s> {
     pages: &'s mut [PageEntry],
     slots: &'s mut [SlotEntry],
+    lists: Lists,
+}
+
+/// What a page table keeps besides the lent entries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Lists {
     free_head: u32,
     free_count: u32,
     leaving_count: u32,
     resident_count: u32,
+    /// Pages that are hidden, and no longer being hidden.
+    hidden_count: u32,
 }
 
 /// Why the lent storage cannot hold a page table.
@@ -38,6 +47,15 @@ pub enum StorageError {
     },
     /// Not even one slot, although other nodes own pages.
     NoSlots,
+    /// There are `needed` nodes that own pages, and `got` entries were lent.
+    Peers {
+        /// Nodes that own pages.
+        needed: u16,
+        /// Entries lent.
+        got: usize,
+    },
+    /// Not even one request, although other nodes own pages.
+    NoRequests,
     /// More slots than an entry can name.
     TooManySlots {
         /// Entries lent.
@@ -46,17 +64,21 @@ pub enum StorageError {
 }
 
 impl<'s> PageTable<'s> {
-    /// Takes the lent storage into use, with the home pages of `me` marked and everything else absent.
+    /// Takes the lent storage into use, with the pages that `me` holds as an owner marked and everything else absent.
     ///
     /// # Errors
     /// The storage does not fit the placement.
-    pub fn new(storage: Storage<'s>, placement: &Stripes, me: NodeId) -> Result<Self, StorageError> {
-        let Storage { pages, slots } = storage;
+    pub fn new(
+        pages: &'s mut [PageEntry],
+        slots: &'s mut [SlotEntry],
+        placement: &Stripes,
+        me: NodeId,
+    ) -> Result<Self, StorageError> {
         let needed = placement.page_count();
         if pages.len() != needed as usize {
             return Err(StorageError::Pages { needed, got: pages.len() });
         }
-        if slots.is_empty() && placement.home_pages(me) < needed {
+        if slots.is_empty() && placement.held_pages(me) < needed {
             return Err(StorageError::NoSlots);
         }
         let slot_count = match u32::try_from(slots.len()) {
@@ -64,7 +86,7 @@ impl<'s> PageTable<'s> {
             _ => return Err(StorageError::TooManySlots { got: slots.len() }),
         };
         pages.fill(PageEntry::EMPTY);
-        for stripe in placement.stripes_of(me) {
+        for stripe in placement.held_stripes_of(me) {
             for page in stripe {
                 pages[page as usize].set_state(PageState::Home);
             }
@@ -73,7 +95,30 @@ impl<'s> PageTable<'s> {
             *entry = SlotEntry { next: if slot == slot_count { NONE } else { slot }, ..SlotEntry::EMPTY };
         }
         let free_head = if slot_count == 0 { NONE } else { 0 };
-        Ok(Self { pages, slots, free_head, free_count: slot_count, leaving_count: 0, resident_count: 0 })
+        let lists =
+            Lists { free_head, free_count: slot_count, leaving_count: 0, resident_count: 0, hidden_count: 0 };
+        Ok(Self { pages, slots, lists })
+    }
+
+    /// The table again, in memory that it has worked in before.
+    pub(crate) fn resume(pages: &'s mut [PageEntry], slots: &'s mut [SlotEntry], lists: Lists) -> Self {
+        Self { pages, slots, lists }
+    }
+
+    pub(crate) fn lists(&self) -> Lists {
+        self.lists
+    }
+
+    /// Gives the lent entries back. What is in them means nothing any more.
+    pub(crate) fn into_entries(self) -> (&'s mut [PageEntry], &'s mut [SlotEntry]) {
+        (self.pages, self.slots)
+    }
+
+    /// Feeds a hash with the state of every page and slot.
+    pub(crate) fn fingerprint(&self, hasher: &mut impl Hasher) {
+        self.pages.hash(hasher);
+        self.slots.hash(hasher);
+        self.lists.free_head.hash(hasher);
     }
 
     /// Moves `page` along the transition table and keeps the slots consistent with its new state.
@@ -81,15 +126,19 @@ impl<'s> PageTable<'s> {
     /// A fault on an absent page takes a free slot; the caller has made sure that there is one.
     pub(crate) fn apply(&mut self, page: PageId, event: PageEvent) -> Effect {
         let entry = &mut self.pages[page.index()];
-        let (next, effect) = entry.state().on(event);
+        let before = entry.state();
+        let (next, effect) = before.on(event);
         entry.set_state(next);
         match effect {
             Effect::SendRequest => self.take_slot(page),
             Effect::Wait => self.pages[page.index()].set_waited_for(true),
             Effect::Wake => self.mark_resident(page),
-            Effect::Unmap => self.mark_leaving(page),
+            Effect::Unmap => self.mark_leaving(page, before),
+            Effect::Hide => self.mark_unseen(page),
+            Effect::Keep => self.lists.hidden_count += 1,
+            Effect::Show => self.lists.hidden_count -= 1,
             Effect::Release => {
-                self.leaving_count -= 1;
+                self.lists.leaving_count -= 1;
                 self.free_slot(page);
             }
             Effect::Fail => self.free_slot(page),
@@ -137,19 +186,25 @@ impl<'s> PageTable<'s> {
     /// Slots without a page.
     #[must_use]
     pub fn free_count(&self) -> u32 {
-        self.free_count
+        self.lists.free_count
     }
 
     /// Slots whose page is being taken away.
     #[must_use]
     pub fn leaving_count(&self) -> u32 {
-        self.leaving_count
+        self.lists.leaving_count
     }
 
     /// Pages that are mapped and not this node's own.
     #[must_use]
     pub fn resident_count(&self) -> u32 {
-        self.resident_count
+        self.lists.resident_count
+    }
+
+    /// Pages that are out of their readers' sight and kept.
+    #[must_use]
+    pub fn hidden_count(&self) -> u32 {
+        self.lists.hidden_count
     }
 
     /// The state of `page`, or `None` when there is no such page.
@@ -178,7 +233,10 @@ impl<'s> PageTable<'s> {
     /// When one does not hold; the message names it.
     pub fn check_invariants(&self) {
         for page in self.pages.iter().filter(|page| page.is_waited_for()) {
-            let due = matches!(page.state(), PageState::Requested | PageState::Filling | PageState::Leaving);
+            let due = matches!(
+                page.state(),
+                PageState::Requested | PageState::Filling | PageState::Leaving | PageState::Hiding
+            );
             assert!(due, "NO_LOST_WAITER: {page:?} is waited for and nothing will wake who waits");
         }
         let mut free = 0;
@@ -198,42 +256,56 @@ impl<'s> PageTable<'s> {
                 ),
             }
         }
-        assert_eq!(free, self.free_count, "free slots are counted");
+        assert_eq!(free, self.lists.free_count, "free slots are counted");
         let count = |state| self.pages.iter().filter(|page| page.state() == state).count();
-        assert_eq!(count(PageState::Leaving), self.leaving_count as usize, "leaving pages are counted");
-        assert_eq!(count(PageState::Resident), self.resident_count as usize, "resident pages are counted");
+        assert_eq!(count(PageState::Leaving), self.lists.leaving_count as usize, "leaving pages are counted");
+        assert_eq!(
+            count(PageState::Resident),
+            self.lists.resident_count as usize,
+            "resident pages are counted"
+        );
+        assert_eq!(count(PageState::Hidden), self.lists.hidden_count as usize, "hidden pages are counted");
         let holding = self.pages.iter().filter(|page| page.state().holds_slot()).count();
         assert_eq!(holding + free as usize, self.slots.len(), "SLOT_HOLDS_ONE_PAGE");
     }
 
     fn take_slot(&mut self, page: PageId) {
-        let slot = self.free_head;
+        let slot = self.lists.free_head;
         debug_assert_ne!(slot, NONE, "a fault is let through only when a slot is free");
         let entry = &mut self.slots[slot as usize];
-        self.free_head = entry.next;
-        *entry = SlotEntry { page: page.0, ..SlotEntry::EMPTY };
-        self.free_count -= 1;
+        self.lists.free_head = entry.next;
+        *entry = SlotEntry { page: page.0, ..entry.cleared() };
+        self.lists.free_count -= 1;
         self.pages[page.index()].set_slot(slot);
     }
 
     fn free_slot(&mut self, page: PageId) {
         let slot = self.pages[page.index()].slot();
-        self.slots[slot as usize] = SlotEntry { next: self.free_head, ..SlotEntry::EMPTY };
-        self.free_head = slot;
-        self.free_count += 1;
+        let entry = &mut self.slots[slot as usize];
+        *entry = SlotEntry { next: self.lists.free_head, ..entry.cleared() };
+        self.lists.free_head = slot;
+        self.lists.free_count += 1;
     }
 
     fn mark_resident(&mut self, page: PageId) {
         let slot = self.pages[page.index()].slot();
         self.slots[slot as usize].evictable = true;
-        self.resident_count += 1;
+        self.lists.resident_count += 1;
     }
 
-    fn mark_leaving(&mut self, page: PageId) {
+    fn mark_leaving(&mut self, page: PageId, before: PageState) {
+        if before == PageState::Hidden {
+            self.lists.hidden_count -= 1;
+        } else {
+            self.mark_unseen(page);
+        }
+        self.lists.leaving_count += 1;
+    }
+
+    fn mark_unseen(&mut self, page: PageId) {
         let slot = self.pages[page.index()].slot();
         self.slots[slot as usize].evictable = false;
-        self.resident_count -= 1;
-        self.leaving_count += 1;
+        self.lists.resident_count -= 1;
     }
 }
 
@@ -243,6 +315,10 @@ impl fmt::Display for StorageError {
             Self::Pages { needed, got } => {
                 write!(f, "the address space has {needed} pages and storage for {got} was lent")
             }
+            Self::Peers { needed, got } => {
+                write!(f, "{needed} nodes own pages and storage for {got} was lent")
+            }
+            Self::NoRequests => write!(f, "no request was lent, and other nodes own pages"),
             Self::NoSlots => write!(f, "no slot was lent, and other nodes own pages"),
             Self::TooManySlots { got } => write!(f, "{got} slots were lent and {SLOTS_MAX} can be named"),
         }

@@ -11,10 +11,28 @@ pub struct NodeStats {
     pub ready_faults: u64,
     /// Faults that had to wait because every slot was on its way in or out.
     pub full_faults: u64,
+    /// Faults that found the page hidden: it was shown, and no message was sent.
+    pub soft_faults: u64,
+    /// Pages that were hidden.
+    pub hidden_pages: u64,
     /// Requests begun, one for each page fetched.
     pub requests: u64,
     /// Requests sent again because no answer came in time.
     pub resends: u64,
+    /// Requests that went on to another copy of the page: the one before was silent, dead, or refused.
+    pub failovers: u64,
+    /// Requests sent to a suspected peer besides, to see whether it is back.
+    pub probes: u64,
+    /// Peers that were found or said to be dead.
+    pub dead_peers: u64,
+    /// Fragments of pages that came and were stored.
+    pub fragments: u64,
+    /// Pages asked for before anybody touched them.
+    pub prefetched_pages: u64,
+    /// Of those, pages that are known to have been used.
+    pub prefetch_used: u64,
+    /// Of those, pages that left and are not known to have been used.
+    pub prefetch_wasted: u64,
     /// Pages granted and put into a slot.
     pub fetched_pages: u64,
     /// Bytes of those pages.
@@ -23,7 +41,7 @@ pub struct NodeStats {
     pub evicted_pages: u64,
     /// Pages that could not be had.
     pub failed_pages: u64,
-    /// Messages refused: malformed, of another cluster or epoch, from the wrong node.
+    /// Messages refused: malformed, of another cluster, epoch or incarnation, from the wrong node or a dead one.
     pub refused_messages: u64,
     /// Answers that came late or twice and were dropped.
     pub late_answers: u64,
@@ -34,7 +52,7 @@ pub struct NodeStats {
 pub struct HomeStats {
     /// Pages granted to other nodes.
     pub granted_pages: u64,
-    /// Requests refused to nodes that asked for what this node does not own.
+    /// Requests refused to nodes that asked for what this node does not hold.
     pub refused_requests: u64,
     /// Messages refused: malformed, of another cluster or epoch.
     pub refused_messages: u64,

@@ -40,9 +40,49 @@ impl Instant {
     }
 }
 
+/// Turns the caller's clock, which may jump, into one that never goes back.
+///
+/// # Edge cases
+/// A clock that jumps backwards, by however much, stands still for one step and goes on from there: no timer waits
+/// longer than it would have. A jump forwards cannot be told from time that has passed, and counts as that.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub(crate) struct SteadyClock {
+    /// The caller's time at the last input.
+    seen: Instant,
+    /// Our own at that input.
+    steady: Instant,
+}
+
+impl SteadyClock {
+    /// Our own time at an input to which the caller has given the time `now`.
+    pub(crate) fn advance(&mut self, now: Instant) -> Instant {
+        self.steady = self.steady.after(now.since(self.seen));
+        self.seen = now;
+        self.steady
+    }
+
+    /// The caller's time at which ours was or will be `moment`, unless its clock jumps.
+    pub(crate) fn outside(&self, moment: Instant) -> Instant {
+        let before = self.steady.since(moment);
+        Instant(self.seen.after(moment.since(self.steady)).0.saturating_sub(before))
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::Instant;
+    use super::{Instant, SteadyClock};
+
+    #[test]
+    fn a_steady_clock_goes_on_where_it_was_when_its_source_jumps_back() {
+        let at = Instant::from_micros;
+        let mut clock = SteadyClock::default();
+        assert_eq!(clock.advance(at(1_000_000)), at(1_000_000));
+        assert_eq!(clock.advance(at(10)), at(1_000_000));
+        assert_eq!(clock.outside(at(1_000_005)), at(15));
+        assert_eq!(clock.advance(at(15)), at(1_000_005));
+        assert_eq!([1_000_001, 3].map(|moment| clock.outside(at(moment))), [at(11), at(0)]);
+        assert_eq!(clock.advance(at(u64::MAX)), at(u64::MAX));
+    }
 
     #[test]
     fn a_clock_that_jumps_back_gives_zero() {

@@ -6,11 +6,12 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use dsm_core::id::{NodeId, PageId, PortId, SlotId};
-use dsm_core::node::{Config, ConfigError, EVICT_BATCH_MAX, Fault, Node, Output};
+use dsm_core::node::{Config, ConfigError, EVICT_BATCH_MAX, Fault, Node, OUTBOX, Output};
 use dsm_core::page_state::PageState;
-use dsm_core::replacement::{Policy, PolicyKind};
+use dsm_core::placement::Stripes;
+use dsm_core::replacement::{Policy, PolicyKind, ReferenceSource};
 use dsm_core::stats::NodeStats;
-use dsm_core::storage::{PageEntry, SlotEntry, Storage};
+use dsm_core::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
 use dsm_core::time::Instant;
 use dsm_core::transport::Body;
 use dsm_core::wire::HEADER_BYTES;
@@ -18,6 +19,7 @@ use dsm_core::wire::HEADER_BYTES;
 use crate::area::Area;
 use crate::backend::{Backend, Record};
 use crate::failure::{PageFailure, Reason};
+use crate::foresight::{Ahead, Foresight};
 use crate::lock::{Guard, Lock};
 use crate::sys::{self, Errno};
 use crate::words::{Ticket, Words};
@@ -30,7 +32,11 @@ pub(crate) struct Paging {
     /// The home pages, for a backend that does not map them into the area.
     home: Option<Area>,
     config: Config,
-    policy: PolicyKind,
+    reference: ReferenceSource,
+    /// For policies that are told by hints. Locked before the node.
+    foresight: Option<Lock<Foresight>>,
+    /// Pages are brought before a tile starts.
+    prefetches: bool,
     /// Declared, and so dropped, before the storage it works in.
     node: Lock<Node<'static>>,
     _storage: LentStorage,
@@ -41,15 +47,22 @@ pub(crate) struct Paging {
 /// What the state machine wants done.
 #[derive(Debug, Default)]
 pub(crate) struct Work<'a> {
-    /// A message to send, and to whom.
-    pub(crate) request: Option<(NodeId, [u8; HEADER_BYTES])>,
+    /// Messages to send, and to whom.
+    pub(crate) requests: heapless::Vec<(NodeId, [u8; HEADER_BYTES]), SENT_MAX>,
     /// A page that arrived, and its slot.
     pub(crate) to_fill: Option<(PageId, SlotId)>,
     victims: heapless::Vec<(PageId, SlotId), { EVICT_BATCH_MAX as usize }>,
+    to_hide: heapless::Vec<(PageId, SlotId), OUTBOX>,
     woken_pages: heapless::Vec<PageId, WOKEN_MAX>,
     wakes_slots: bool,
     ticket: Option<Ticket<'a>>,
 }
+
+/// Messages that one thread sends at a time: a request, and perhaps another to see whether a silent owner is back.
+const SENT_MAX: usize = 4;
+
+/// Requests that can be under way at once: one for each thread that can be attached.
+const REQUESTS: usize = 256;
 
 /// Pages whose waiters are woken at a time: those of a batch of victims, or the one that a thread has asked for.
 const WOKEN_MAX: usize = EVICT_BATCH_MAX as usize;
@@ -66,6 +79,8 @@ struct FailureCell {
 struct LentStorage {
     pages: *mut [PageEntry],
     slots: *mut [SlotEntry],
+    peers: *mut [PeerEntry],
+    requests: *mut [RequestEntry],
 }
 
 impl Paging {
@@ -77,16 +92,21 @@ impl Paging {
         config: Config,
         slot_count: u32,
         policy: (PolicyKind, u64),
+        (reference, prefetches): (ReferenceSource, bool),
     ) -> Result<Self, ConfigError> {
         let config = with_watermarks(config, slot_count);
-        let (storage, lent) = LentStorage::lend(config.placement.page_count(), slot_count);
+        let (storage, lent) = LentStorage::lend(&config.placement, slot_count);
         let node = Node::new(config, storage, Policy::new(policy.0, policy.1))?;
+        let is_told = reference == ReferenceSource::Hints && slot_count > 0;
+        let foresight = is_told.then(|| Lock::new(Foresight::new(config.placement.page_count())));
         Ok(Self {
             area,
             backend,
             home,
             config,
-            policy: policy.0,
+            reference,
+            foresight,
+            prefetches,
             node: Lock::new(node),
             _storage: lent,
             words: Words::new(),
@@ -110,6 +130,53 @@ impl Paging {
         self.node.lock().table().slot_count()
     }
 
+    pub(crate) const fn reference(&self) -> ReferenceSource {
+        self.reference
+    }
+
+    /// A frame begins, and this node draws these tiles, in this order.
+    pub(crate) fn begin_frame(&self, order: &[u32]) {
+        if let Some(foresight) = &self.foresight {
+            foresight.lock().begin_frame(order, &mut self.node.lock());
+        }
+    }
+
+    /// A thread begins to draw a tile. Gives the pages to bring before it does, and has slots made free for them.
+    pub(crate) fn begin_tile(&self, tile: u32) -> (Ahead, Work<'_>) {
+        let mut ahead = Ahead::new();
+        let Some(foresight) = &self.foresight else { return (ahead, Work::default()) };
+        let mut foresight = foresight.lock();
+        let mut node = self.node.lock();
+        foresight.begin_tile(tile, &mut node);
+        if !self.prefetches {
+            return (ahead, Work::default());
+        }
+        foresight.absent_pages_of(tile, &node, &mut ahead);
+        drop(foresight);
+        let count = u32::try_from(ahead.len()).unwrap_or(u32::MAX);
+        let granted = node.handle_prefetch_wish(sys::now(), count);
+        ahead.truncate(granted as usize);
+        (ahead, self.finish(node))
+    }
+
+    /// Asks for a page that nobody waits for, if there is room for it; the answer comes to `port`.
+    pub(crate) fn prefetch(&self, page: PageId, port: PortId) -> Option<Work<'_>> {
+        let mut node = self.node.lock();
+        let is_asked = node.handle_prefetch(sys::now(), page, port);
+        let work = self.finish(node);
+        is_asked.then_some(work)
+    }
+
+    /// A thread has drawn a tile and used these pages, each given once.
+    pub(crate) fn end_tile(&self, tile: u32, pages: &[PageId]) {
+        if let Some(foresight) = &self.foresight {
+            let mut foresight = foresight.lock();
+            let mut node = self.node.lock();
+            pages.iter().for_each(|page| node.handle_reference(*page));
+            foresight.end_tile(tile, pages, &mut node);
+        }
+    }
+
     /// When the request for `page`, which left through `port`, wants to be looked after; `None` when it is no more
     /// under way.
     pub(crate) fn next_timeout(&self, page: PageId, port: PortId) -> Option<Instant> {
@@ -131,7 +198,7 @@ impl Paging {
         let ticket = match answer {
             Fault::Wait => Some(self.words.ticket_for_page(page)),
             Fault::Full => Some(self.words.ticket_for_slot()),
-            Fault::Ready | Fault::Fetch | Fault::Failed(_) => None,
+            Fault::Ready | Fault::Fetch | Fault::Show | Fault::Failed(_) => None,
         };
         (answer, Work { ticket, ..self.finish(node) })
     }
@@ -157,6 +224,34 @@ impl Paging {
         let mut node = self.node.lock();
         node.handle_filled(sys::now(), page);
         self.finish(node);
+        Ok(())
+    }
+
+    /// Brings a hidden page back and tells the state machine.
+    pub(crate) fn show(&self, page: PageId) -> Result<(), PageFailure> {
+        let shown = self.backend.show(&self.area, page);
+        shown.map_err(|why| self.fail(page, Reason::System(why)))?;
+        let mut node = self.node.lock();
+        node.handle_filled(sys::now(), page);
+        self.finish(node);
+        Ok(())
+    }
+
+    /// Hides what is to be hidden and tells the state machine.
+    pub(crate) fn hide(&self, work: &Work<'_>) -> Result<(), PageFailure> {
+        let Some((first, _)) = work.to_hide.first() else { return Ok(()) };
+        let hidden = self.backend.hide(&self.area, &work.to_hide);
+        hidden.map_err(|why| self.fail(*first, Reason::System(why)))?;
+        for pages in work.to_hide.chunks(WOKEN_MAX) {
+            let mut node = self.node.lock();
+            let mut woken = Work::default();
+            for (page, _) in pages {
+                node.handle_covered(sys::now(), *page);
+                woken.gather(&mut node);
+            }
+            drop(node);
+            self.wake(&woken);
+        }
         Ok(())
     }
 
@@ -205,7 +300,7 @@ impl Paging {
         if let Some(record) = soft.pin(page, start, length) {
             return Ok(record);
         }
-        match (&self.home, self.home_index(page)) {
+        match (&self.home, self.held_index(page)) {
             (Some(home), Some(index)) => {
                 // SAFETY: inside a home page, by the caller's check. Home pages are mapped as long as `self` lives
                 // and never change; see the crate's safety contract.
@@ -218,15 +313,14 @@ impl Paging {
     }
 
     /// The place of `page` among this node's own, as a page of the home's area.
-    fn home_index(&self, page: PageId) -> Option<PageId> {
-        let Config { placement, me, .. } = &self.config;
-        (placement.home(page) == Some(*me)).then(|| placement.home_index(page).map(PageId)).flatten()
+    fn held_index(&self, page: PageId) -> Option<PageId> {
+        self.config.placement.held_index(self.config.me, page).map(PageId)
     }
 
-    /// `clock` learns from `soft` which slots were used, when a victim is about to be chosen.
+    /// A policy learns from `soft` which slots were used, when a victim is about to be chosen.
     fn pass_on_touches(&self, node: &mut Node<'static>) {
         let Backend::Soft(soft) = &self.backend else { return };
-        if self.policy == PolicyKind::Clock && node.table().free_count() == 0 {
+        if self.reference == ReferenceSource::SoftFaults && node.table().free_count() == 0 {
             for slot in soft.take_touched() {
                 if let Some(page) = node.table().page_in(slot) {
                     node.handle_reference(page);
@@ -266,11 +360,20 @@ impl Work<'_> {
         loop {
             match node.poll(&mut buffer) {
                 Output::Idle(_) => return,
-                Output::Transmit { to, .. } => self.request = Some((to, buffer)),
-                Output::Map { page, slot } => self.to_fill = Some((page, slot)),
+                Output::Transmit { to, .. } => {
+                    // One too many is a message lost: it is sent again when its time comes.
+                    let _ = self.requests.push((to, buffer));
+                }
+                Output::Map { page, slot, .. } => self.to_fill = Some((page, slot)),
+                // Grants of less than a page are refused: `Config::fragments` is not set.
+                Output::Store { .. } => debug_assert!(false, "a fragment that was not asked for"),
                 Output::Unmap { page, slot } => {
                     let pushed = self.victims.push((page, slot));
                     debug_assert!(pushed.is_ok(), "a batch is bounded");
+                }
+                Output::Hide { page, slot } => {
+                    let pushed = self.to_hide.push((page, slot));
+                    debug_assert!(pushed.is_ok(), "one input causes no more than fits the outbox");
                 }
                 Output::WakePage { page } => {
                     let pushed = self.woken_pages.push(page);
@@ -283,14 +386,23 @@ impl Work<'_> {
 }
 
 impl LentStorage {
-    fn lend(page_count: u32, slot_count: u32) -> (Storage<'static>, Self) {
-        let pages = Box::into_raw(vec![PageEntry::EMPTY; page_count as usize].into_boxed_slice());
+    fn lend(placement: &Stripes, slot_count: u32) -> (Storage<'static>, Self) {
+        let owners = usize::from(placement.owner_count());
+        let pages = Box::into_raw(vec![PageEntry::EMPTY; placement.page_count() as usize].into_boxed_slice());
         let slots = Box::into_raw(vec![SlotEntry::EMPTY; slot_count as usize].into_boxed_slice());
+        let peers = Box::into_raw(vec![PeerEntry::EMPTY; owners].into_boxed_slice());
+        let requests = Box::into_raw(vec![RequestEntry::EMPTY; REQUESTS].into_boxed_slice());
         // SAFETY: just made, lent once, and given back by `drop` only after the node is gone.
         let lent_pages = unsafe { &mut *pages };
         // SAFETY: as above.
         let lent_slots = unsafe { &mut *slots };
-        (Storage { pages: lent_pages, slots: lent_slots }, Self { pages, slots })
+        // SAFETY: as above.
+        let lent_peers = unsafe { &mut *peers };
+        // SAFETY: as above.
+        let lent_requests = unsafe { &mut *requests };
+        let storage =
+            Storage { pages: lent_pages, slots: lent_slots, peers: lent_peers, requests: lent_requests };
+        (storage, Self { pages, slots, peers, requests })
     }
 }
 
@@ -300,6 +412,10 @@ impl Drop for LentStorage {
         drop(unsafe { Box::from_raw(self.pages) });
         // SAFETY: as above.
         drop(unsafe { Box::from_raw(self.slots) });
+        // SAFETY: as above.
+        drop(unsafe { Box::from_raw(self.peers) });
+        // SAFETY: as above.
+        drop(unsafe { Box::from_raw(self.requests) });
     }
 }
 

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use dsm_core::id::{PageId, PortId};
 use dsm_core::node;
-use dsm_core::replacement::PolicyKind;
+use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use dsm_core::stats::NodeStats;
 
 use crate::area::Area;
@@ -45,11 +45,18 @@ pub struct Setup {
     pub node: node::Config,
     /// Which page leaves when a slot is needed.
     pub policy: PolicyKind,
-    /// Makes `random` repeatable.
+    /// How it learns which pages are used.
+    pub reference: ReferenceSource,
+    /// How many per cent of the slots hold hidden pages, where soft faults are the source.
+    pub hidden_per_cent: u32,
+    /// With hints: bring the pages that a tile touched in the last frame before it starts.
+    pub prefetch: bool,
+    /// Makes what is random repeatable.
     pub seed: u64,
     /// Pages of other nodes that may be resident at once.
     pub slot_count: u32,
-    /// The file with this node's own pages in the order of their home index, unless it owns none.
+    /// The file with this node's own pages, those it is home to and replicas, in the order of their held index, unless it
+    /// owns none.
     pub home: Option<OwnedFd>,
     /// The backend, or `None` for the best that the system does not refuse.
     pub backend: Option<BackendKind>,
@@ -99,8 +106,10 @@ impl Region {
             }
             None => None,
         };
-        let policy = (setup.policy, setup.seed);
-        let paging = Paging::new(area, backend, home, setup.node, slot_count, policy);
+        let (policy, reference) = ((setup.policy, setup.seed), backend.reference(setup.reference));
+        let hidden_max = backend.hidden_max(reference, slot_count, setup.hidden_per_cent);
+        let node = node::Config { hidden_max, ..setup.node };
+        let paging = Paging::new(area, backend, home, node, slot_count, policy, (reference, setup.prefetch));
         Self::assemble(Kind::Paged(Box::new(paging.map_err(RegionError::Config)?)), choice)
     }
 
@@ -148,6 +157,20 @@ impl Region {
     #[must_use]
     pub fn slot_count(&self) -> u32 {
         self.paging().map_or(0, Paging::slot_count)
+    }
+
+    /// How the policy learns which pages are used: what was asked for, or what comes closest with this backend.
+    #[must_use]
+    pub fn reference(&self) -> ReferenceSource {
+        self.paging().map_or(ReferenceSource::Nothing, Paging::reference)
+    }
+
+    /// A frame begins, and this node draws these tiles, in this order. For hints; see
+    /// [`Attached::begin_tile`](crate::Attached::begin_tile).
+    pub fn begin_frame(&self, order: &[u32]) {
+        if let Some(paging) = self.paging() {
+            paging.begin_frame(order);
+        }
     }
 
     /// Length of a page in bytes.
@@ -239,8 +262,8 @@ impl Demand {
             page_count: placement.page_count(),
             page_bytes: setup.node.page_bytes as usize,
             slot_count: setup.slot_count,
-            home_stripes: placement.stripes_of(setup.node.me).count(),
-            watches_touches: setup.policy == PolicyKind::Clock,
+            home_stripes: placement.held_stripes_of(setup.node.me).count(),
+            watches_touches: setup.reference == ReferenceSource::SoftFaults,
         }
     }
 }
@@ -254,13 +277,13 @@ fn map_home(
 ) -> Result<Option<Area>, Errno> {
     let (placement, file) = (&config.placement, file.as_raw_fd());
     if let Backend::Soft(_) = backend {
-        let home = Area::reserve(placement.home_pages(config.me), area.page_bytes(), libc::PROT_READ)?;
+        let home = Area::reserve(placement.held_pages(config.me), area.page_bytes(), libc::PROT_READ)?;
         // SAFETY: the area was just made; the caller of `Region::new` vouches for the file.
         unsafe { sys::map_file_over(home.start(), home.bytes(), file, 0) }?;
         return Ok(Some(home));
     }
     let mut offset = 0;
-    for stripe in placement.stripes_of(config.me) {
+    for stripe in placement.held_stripes_of(config.me) {
         let (start, bytes) = area.span(&stripe);
         // SAFETY: the stripe lies in our area, and nobody reads it yet. The caller of `Region::new` vouches for the
         // file.

@@ -76,6 +76,9 @@ struct Fetcher<T> {
 /// More faults in a row than races can explain: the page is there, and the access is none that reading allows.
 const READY_IN_A_ROW_MAX: u32 = 10_000;
 
+/// Pages that one thread has asked for ahead and not yet received; what a ring of shared memory has room for.
+const IN_FLIGHT_MAX: usize = 4;
+
 /// Nobody sleeps longer than this without looking again.
 const SLEEP_US: u64 = 50_000;
 
@@ -126,6 +129,31 @@ impl<T: Transport> Attached<T> {
             touch_byte(last);
         }
         self.check()
+    }
+
+    /// This thread begins to draw a tile of the frame that [`Region::begin_frame`] has announced.
+    ///
+    /// Tiles are numbered as the caller likes, the same in each frame. What it says here and at the end of the tile tells the
+    /// policy which pages are used, and what the last frame foretells of this one. It costs some ten nanoseconds a page of
+    /// the tile, and may be left out. Where the region prefetches, the pages that the tile touched in the last frame and
+    /// that are absent are fetched here, several at a time.
+    pub fn begin_tile(&self, tile: u32) {
+        let Some(paging) = self.region.paging() else { return };
+        let (ahead, room) = paging.begin_tile(tile);
+        if ahead.is_empty() {
+            return;
+        }
+        // SAFETY: as in `record`: this is not the handler, and nothing called from here loads from the region.
+        let worker = unsafe { &mut *self.worker.get() };
+        // What goes wrong is kept, and `check` tells of it.
+        let _ = worker.fetcher.prefetch(paging, &ahead, &room);
+    }
+
+    /// This thread has drawn a tile and used these pages, each given once.
+    pub fn end_tile(&self, tile: u32, pages: &[PageId]) {
+        if let Some(paging) = self.region.paging() {
+            paging.end_tile(tile, pages);
+        }
     }
 
     /// Tells whether every byte read so far was the scene's. A page that could not be had reads as zeros.
@@ -248,9 +276,14 @@ impl<T: Transport> Fetcher<T> {
             }
             // In the shadow of the request, if there is one.
             let evicted = paging.evict(&work)?;
+            paging.hide(&work)?;
             match answer {
                 Answer::Ready => break,
                 Answer::Fetch if self.receive(paging, page)? => break,
+                Answer::Show => {
+                    paging.show(page)?;
+                    break;
+                }
                 Answer::Fetch => {}
                 Answer::Failed(failure) => return Err(paging.fail(page, Reason::Cluster(failure))),
                 Answer::Full if evicted => {}
@@ -265,18 +298,43 @@ impl<T: Transport> Fetcher<T> {
         Ok(first)
     }
 
+    /// Brings pages that nobody waits for, several at a time, once `room` has been made for them.
+    fn prefetch(&mut self, paging: &Paging, pages: &[PageId], room: &Work<'_>) -> Result<(), PageFailure> {
+        paging.evict(room)?;
+        let mut under_way = heapless::Deque::<PageId, IN_FLIGHT_MAX>::new();
+        for page in pages {
+            if under_way.is_full()
+                && let Some(first) = under_way.pop_front()
+            {
+                self.receive(paging, first)?;
+            }
+            if let Some(work) = paging.prefetch(*page, self.port) {
+                self.send(&work);
+                let pushed = under_way.push_back(*page);
+                debug_assert!(pushed.is_ok(), "room was made above");
+            }
+        }
+        while let Some(first) = under_way.pop_front() {
+            self.receive(paging, first)?;
+        }
+        Ok(())
+    }
+
     /// Waits for the answer to the request that is under way and puts the page in place. Ends by the request's
     /// deadline; tells whether the page is there.
     fn receive(&mut self, paging: &Paging, page: PageId) -> Result<bool, PageFailure> {
         while let Some(deadline) = paging.next_timeout(page, self.port) {
             match self.transport.receive(deadline) {
                 Some(received) => {
-                    if let Some((arrived, slot)) = paging.handle_message(&received.header).to_fill {
+                    let work = paging.handle_message(&received.header);
+                    if let Some((arrived, slot)) = work.to_fill {
                         paging.fill(arrived, slot, received.body)?;
                         if arrived == page {
                             return Ok(true);
                         }
                     }
+                    // An owner refused: the next one is asked.
+                    self.send(&work);
                 }
                 None => {
                     let work = paging.handle_timeout(self.port);
@@ -288,7 +346,7 @@ impl<T: Transport> Fetcher<T> {
     }
 
     fn send(&mut self, work: &Work<'_>) {
-        if let Some((to, message)) = &work.request {
+        for (to, message) in &work.requests {
             // A message that cannot be sent is a message lost: it is sent again when its time comes.
             let _ = self.transport.send(*to, message);
         }

@@ -77,6 +77,8 @@ pub enum FrameError {
     Isosurface,
     /// The number of no solver.
     Solver(u32),
+    /// Shadows are wanted, which were left out of this build.
+    Shadows,
 }
 
 impl Frame {
@@ -89,7 +91,7 @@ impl Frame {
     /// Length of a frame in bytes.
     pub const BYTES: usize = size_of::<Self>();
 
-    /// A frame of an orbit, with the orbit's light.
+    /// A frame of an orbit, with the orbit's light; with shadows, unless this build has none.
     ///
     /// # Errors
     /// When the size is out of range, or the place is so extreme that numbers overflow.
@@ -98,7 +100,7 @@ impl Frame {
             number: place.frame,
             width,
             height,
-            flags: 0,
+            flags: if cfg!(feature = "shadows") { 0 } else { Self::NO_SHADOWS },
             camera: orbit.camera(place, width, height),
             light: orbit.light(),
             shadow_offset: orbit.shadow_offset(),
@@ -145,7 +147,7 @@ impl Frame {
     /// Whether points look for what stands between them and the light.
     #[inline]
     pub const fn has_shadows(&self) -> bool {
-        self.flags & Self::NO_SHADOWS == 0
+        cfg!(feature = "shadows") && self.flags & Self::NO_SHADOWS == 0
     }
 
     /// The bytes of the frame.
@@ -175,6 +177,9 @@ impl Frame {
             return Err(FrameError::Isosurface);
         }
         Solver::from_bits(self.solver).ok_or(FrameError::Solver(self.solver))?;
+        if !cfg!(feature = "shadows") && self.flags & Self::NO_SHADOWS == 0 {
+            return Err(FrameError::Shadows);
+        }
         Ok(self)
     }
 }
@@ -194,6 +199,7 @@ impl fmt::Display for FrameError {
             Self::Solver(number) => {
                 write!(f, "a frame with a solver that this build does not know: {number}")
             }
+            Self::Shadows => write!(f, "a frame with shadows, which were left out of this build"),
             Self::NotFinite => write!(f, "camera or light has a coordinate that is not finite"),
         }
     }

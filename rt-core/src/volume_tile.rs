@@ -1,7 +1,10 @@
 //! Tiles of scenes with a volume.
 
+use core::marker::PhantomData;
+
 use glam::Vec3;
 
+use crate::blocks::block_and_lane;
 use crate::count::{Count, TileCounts};
 use crate::grid_ray::GridRay;
 use crate::isosurface::{Isosurfaces, single};
@@ -10,6 +13,7 @@ use crate::kinds::{ForKinds, Kinds, dispatch};
 use crate::memory::SceneMemory;
 use crate::scale::Scale;
 use crate::shade::{self, ALBEDO, AMBIENT, LitPoint};
+use crate::simd::{Lanes, Simd, Task};
 use crate::tile::{Depths, Tile, TileView};
 use crate::view::Damaged;
 use crate::volume_memo::TileMemo;
@@ -20,7 +24,7 @@ use crate::walk::walk;
 pub(crate) fn draw<M: SceneMemory, C: Count>(
     view: &TileView<'_, M>,
     tile: Tile,
-    _kernel: Kernel,
+    kernel: Kernel,
     pixels: &mut [u8],
     work: &mut C,
 ) -> TileCounts {
@@ -32,7 +36,8 @@ pub(crate) fn draw<M: SceneMemory, C: Count>(
         let rays = pixels.len() as u64;
         return TileCounts { primary: rays, damaged: rays, ..TileCounts::default() };
     };
-    dispatch(view.scene.header().needs, DrawTile { view, isosurfaces, tile, pixels, work })
+    let (Kernel::Beams(lanes) | Kernel::Rays(lanes)) = kernel;
+    dispatch(view.scene.header().needs, DrawTile { view, isosurfaces, tile, lanes, pixels, work })
 }
 
 /// A tile, and how to draw it.
@@ -40,6 +45,7 @@ struct DrawTile<'a, M, C> {
     view: &'a TileView<'a, M>,
     isosurfaces: Option<Isosurfaces<'a, M>>,
     tile: Tile,
+    lanes: Lanes,
     pixels: &'a mut [u8],
     work: &'a mut C,
 }
@@ -47,21 +53,37 @@ struct DrawTile<'a, M, C> {
 impl<M: SceneMemory, C: Count> ForKinds for DrawTile<'_, M, C> {
     type Output = TileCounts;
 
-    /// Draws the tile one ray after the other.
     fn run<K: Kinds>(self) -> TileCounts {
-        let Self { view, isosurfaces, tile, pixels, work } = self;
+        self.lanes.run(DrawByRays { tile: self, kinds: PhantomData::<K> })
+    }
+}
+
+/// A tile, to be drawn one ray after the other.
+struct DrawByRays<'a, M, C, K> {
+    tile: DrawTile<'a, M, C>,
+    kinds: PhantomData<K>,
+}
+
+impl<M: SceneMemory, C: Count, K: Kinds> Task for DrawByRays<'_, M, C, K> {
+    type Output = TileCounts;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) -> TileCounts {
+        let DrawTile { view, isosurfaces, tile, pixels, work, .. } = self.tile;
         let counts = TileCounts::default();
         let mut painter =
-            Painter { view, isosurfaces, memo: TileMemo::new(), work, counts, depths: Depths::new() };
+            Painter { s, view, isosurfaces, memo: TileMemo::new(), work, counts, depths: Depths::new() };
         for (y, row) in (0_u32..).zip(pixels.chunks_exact_mut(tile.width as usize)) {
             let row_direction = view.frame.camera.row(tile.y + y);
             for (x, pixel) in (0_u32..).zip(row) {
                 let direction = view.frame.camera.direction(row_direction, tile.x + x);
-                let grey = painter.grey::<K>((x as usize, y as usize), direction).unwrap_or_else(|_| {
-                    painter.counts.damaged += 1;
-                    shade::BACKGROUND
+                *pixel = shade::byte(match painter.grey::<K>((x as usize, y as usize), direction) {
+                    Ok(grey) => grey,
+                    Err(_) => {
+                        painter.counts.damaged += 1;
+                        shade::BACKGROUND
+                    }
                 });
-                *pixel = shade::byte(grey);
             }
         }
         let t_sum = painter.depths.sum(view.scene.header().scale().inverse());
@@ -70,7 +92,8 @@ impl<M: SceneMemory, C: Count> ForKinds for DrawTile<'_, M, C> {
 }
 
 /// A tile being drawn ray by ray, and what was counted so far.
-struct Painter<'a, M, C> {
+struct Painter<'a, S, M, C> {
+    s: S,
     view: &'a TileView<'a, M>,
     isosurfaces: Option<Isosurfaces<'a, M>>,
     memo: TileMemo,
@@ -86,7 +109,7 @@ struct Seen {
     albedo: f32,
 }
 
-impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
+impl<S: Simd, M: SceneMemory, C: Count> Painter<'_, S, M, C> {
     /// Grey of the pixel at `(x, y)` of the tile, whose ray goes along `direction`.
     #[inline]
     fn grey<K: Kinds>(&mut self, (x, y): (usize, usize), direction: Vec3) -> Result<f32, Damaged> {
@@ -94,7 +117,8 @@ impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
         self.counts.primary += 1;
         let Some(seen) = self.nearest::<K>(eye, direction)? else { return Ok(shade::BACKGROUND) };
         self.counts.hits += 1;
-        self.depths.block(y / 4 * 4 + x / 4)[y % 4 * 4 + x % 4] = seen.t;
+        let (block, lane) = block_and_lane(x, y);
+        self.depths.block(block)[lane] = seen.t;
         let at = eye + direction * seen.t;
         match LitPoint::new(at, seen.normal, direction, light, shadow_offset) {
             Some(point) if !frame.has_shadows() || self.reaches_light::<K>(&point)? => {
@@ -112,7 +136,7 @@ impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
         if scene.header().needs.has_primitives()
             && let Some(ray) = GridRay::new(eye, direction, f32::INFINITY, Scale::ONE, &scene.header().grid)
         {
-            let nearest = walk::<M, C, K, false>(scene, &ray, self.work)?;
+            let nearest = walk::<S, M, C, K, false>(self.s, scene, &ray, self.work)?;
             seen = ray.hit::<K>(&nearest).map(|hit| Seen { t: hit.t, normal: hit.normal, albedo: ALBEDO });
         }
         let Some(isosurfaces) = &self.isosurfaces else { return Ok(seen) };
@@ -145,7 +169,7 @@ impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
         if scene.header().needs.has_primitives()
             && let Some(ray) =
                 GridRay::new(point.point, point.to_light, 1.0, Scale::ONE, &scene.header().grid)
-            && walk::<M, C, K, true>(scene, &ray, self.work)?.surface.is_some()
+            && walk::<S, M, C, K, true>(self.s, scene, &ray, self.work)?.surface.is_some()
         {
             return Ok(true);
         }

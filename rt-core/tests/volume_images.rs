@@ -16,8 +16,8 @@ use rt_core::volume::{
     bricks_along, levels_for, morton, range_offset, ranges_bytes,
 };
 use rt_core::{
-    Bounds, Damaged, Flat, Frame, Isosurface, Kernel, Orbit, Ray, SceneMemory, SceneNeeds, SceneView, Solver,
-    Tiles, WorkCounts, render_tile,
+    Bounds, Damaged, Flat, Frame, Isosurface, Kernel, Lanes, Orbit, Ray, SceneMemory, SceneNeeds, SceneView,
+    Solver, Tiles, WorkCounts, render_tile,
 };
 use scene::{BuildOptions, build, builtin, write_volume};
 
@@ -305,7 +305,7 @@ fn every_kernel_draws_the_bits_that_rays_draw() {
         for solver in Solver::ALL {
             for radius in [0.1, 0.75, 1.5, 4.0] {
                 let frame = frame(&scene.header().view, radius, surfaces, solver);
-                let expected = draw(&scene, &frame, Kernel::Rays);
+                let expected = draw(&scene, &frame, Kernel::Rays(Lanes::PORTABLE));
                 let is_seen = expected.iter().any(|byte| *byte != expected[0]);
                 assert!(is_seen || radius < 0.5, "radius {radius}");
                 for kernel in Kernel::available() {
@@ -336,7 +336,7 @@ fn of_a_mesh_and_a_volume_the_nearer_is_seen_and_each_shades_the_other() {
     let frame = frame(&both.header().view, 0.8, &surfaces, Solver::default());
     let frame = Frame { flags: Frame::NO_SHADOWS, ..frame };
     let [both_drawn, mesh_drawn, ball_drawn] =
-        [&both, &mesh_only, &ball_only].map(|scene| draw(scene, &frame, Kernel::Rays));
+        [&both, &mesh_only, &ball_only].map(|scene| draw(scene, &frame, Kernel::Rays(Lanes::PORTABLE)));
     let mut seen = [0; 3];
     for ((both, mesh), ball) in both_drawn.iter().zip(&mesh_drawn).zip(&ball_drawn) {
         // Each pixel is that of one of the two.
@@ -346,9 +346,9 @@ fn of_a_mesh_and_a_volume_the_nearer_is_seen_and_each_shades_the_other() {
     }
     assert!(seen[0] > 300 && seen[1] > 300, "{seen:?}");
     let with_shadows = Frame { flags: 0, ..frame };
-    let shaded = draw(&both, &with_shadows, Kernel::Rays);
+    let shaded = draw(&both, &with_shadows, Kernel::Rays(Lanes::PORTABLE));
     let darker = |alone: &SceneView<Flat<'_>>, drawn: &[u8]| {
-        let alone = draw(alone, &with_shadows, Kernel::Rays);
+        let alone = draw(alone, &with_shadows, Kernel::Rays(Lanes::PORTABLE));
         let same_surface = shaded.iter().zip(&both_drawn).zip(drawn).zip(&alone);
         same_surface.filter(|(((shaded, both), own), alone)| both == own && shaded < alone).count()
     };

@@ -1,5 +1,6 @@
 //! Reading an owner's pages straight out of its memory file.
 
+use std::collections::VecDeque;
 use std::fs::File;
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
@@ -10,13 +11,13 @@ use dsm_core::home::{Answer, Home};
 use dsm_core::id::NodeId;
 use dsm_core::time::Instant;
 use dsm_core::transport::{Body, Received, SendError, Transport};
-use dsm_core::wire::{HEADER_BYTES, Message};
+use dsm_core::wire::{self, HEADER_BYTES, Message};
 use rustix::fs::{MemfdFlags, SealFlags, fcntl_add_seals, ftruncate, memfd_create};
 use rustix::thread::{ClockId, Timespec, clock_nanosleep_absolute};
 
 use crate::mapping::Mapping;
 
-/// The memory file that holds an owner's home pages, in the order of their home index.
+/// The memory file that holds an owner's home pages, in the order of their held index.
 ///
 /// Vanishes with the last process that holds it open. It cannot be cut short, so it may be mapped safely.
 #[derive(Debug)]
@@ -31,8 +32,8 @@ pub struct PageFile {
 #[derive(Debug)]
 pub struct DirectPort {
     routes: Vec<Option<Route>>,
-    /// What the last request is to be answered with.
-    pending: Option<Pending>,
+    /// What the last requests are to be answered with, the oldest first. Never grows: it is used in signal handlers.
+    pending: VecDeque<Pending>,
     page: Vec<u8>,
 }
 
@@ -53,6 +54,9 @@ struct Pending {
     owner: usize,
     answer: Answer,
 }
+
+/// Requests that wait for their answer to be taken.
+const PENDING_MAX: usize = 8;
 
 impl PageFile {
     /// An empty file for `bytes` bytes of pages.
@@ -116,7 +120,11 @@ impl DirectPort {
     /// A port without routes, for pages of `page_bytes`.
     #[must_use]
     pub fn new(page_bytes: u32) -> Self {
-        Self { routes: Vec::new(), pending: None, page: vec![0; page_bytes as usize] }
+        Self {
+            routes: Vec::new(),
+            pending: VecDeque::with_capacity(PENDING_MAX),
+            page: vec![0; page_bytes as usize],
+        }
     }
 
     /// Opens the way to `owner`, whose pages lie in `pages` and for whom `home` answers.
@@ -132,28 +140,43 @@ impl Transport for DirectPort {
     fn send(&mut self, to: NodeId, message: &[u8]) -> Result<(), SendError> {
         let route = self.routes.get_mut(to.index()).and_then(Option::as_mut).ok_or(SendError::NoRoute(to))?;
         let answer = route.home.handle_message(message).ok();
-        self.pending = answer.map(|answer| Pending { owner: to.index(), answer });
+        // Who asks so often without looking has given up the oldest.
+        if self.pending.len() == PENDING_MAX {
+            self.pending.pop_front();
+        }
+        self.pending.extend(answer.map(|answer| Pending { owner: to.index(), answer }));
         Ok(())
     }
 
     /// The answer is there at once or never.
     fn receive(&mut self, deadline: Instant) -> Option<Received<'_>> {
-        let Some(Pending { owner, answer }) = self.pending.take() else {
+        let Some(Pending { owner, answer }) = self.pending.pop_front() else {
             sleep_until(deadline);
             return None;
         };
         let route = self.routes.get_mut(owner)?.as_mut()?;
         let message = match answer {
             Answer::Refuse { message } => message,
-            Answer::Grant { message, home_index } => {
-                let offset = u64::from(home_index) * self.page.len() as u64;
-                match route.pages.file.read_exact_at(&mut self.page, offset) {
-                    Ok(()) => return Some(received(&message, Body::new(&self.page))),
+            Answer::Grant { message, held_index } => {
+                let (start, length) = granted(&message);
+                let offset = u64::from(held_index) * self.page.len() as u64 + start;
+                let length = length.min(self.page.len());
+                let page = &mut self.page[..length];
+                match route.pages.file.read_exact_at(page, offset) {
+                    Ok(()) => return Some(received(&message, Body::new(page))),
                     Err(_) => route.home.handle_unreadable(&message),
                 }
             }
         };
         Some(received(&message, Body::EMPTY))
+    }
+}
+
+/// Where in the page the bytes start that a message grants, and how many they are.
+pub(crate) const fn granted(message: &Message) -> (u64, usize) {
+    match message.body {
+        wire::Body::Grant { offset, bytes } => (offset as u64, bytes as usize),
+        wire::Body::Request { .. } | wire::Body::Refusal(_) => (0, 0),
     }
 }
 

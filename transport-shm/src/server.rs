@@ -10,7 +10,7 @@ use dsm_core::wire::{HEADER_BYTES, Message};
 
 use crate::bell::Bell;
 use crate::channel::ServerEnd;
-use crate::direct::PageFile;
+use crate::direct::{self, PageFile};
 use crate::inbox::{ChannelId, Inbox, Layout, at};
 use crate::mapping::Mapping;
 use crate::port::wait_for;
@@ -69,22 +69,30 @@ fn answer_one(home: &mut Home, pages: &PageFile, channel: &mut ServerEnd) -> boo
     let Ok(answer) = home.handle_message(&request) else { return false };
     let answered = channel.answer(|place, page_bytes| match answer {
         Answer::Refuse { message } => emit(&message),
-        Answer::Grant { message, home_index } => {
-            let read = read_page(pages, home_index, place, page_bytes);
+        Answer::Grant { message, held_index } => {
+            let read = read_page(pages, held_index, &message, place, page_bytes);
             emit(&if read { message } else { home.handle_unreadable(&message) })
         }
     });
     answered.is_ok()
 }
 
-/// Reads a home page into a place of the ring, with the kernel as the copier.
-fn read_page(pages: &PageFile, home_index: u32, place: *mut u8, page_bytes: usize) -> bool {
-    let Ok(offset) = i64::try_from(u64::from(home_index) * page_bytes as u64) else { return false };
-    // SAFETY: `pread` writes at most `page_bytes` bytes from `place` on.
-    // - In bounds: the place is that long, checked against the mapping by `ServerEnd::answer`.
+/// Reads what was granted of a page into a place of the ring, with the kernel as the copier.
+fn read_page(
+    pages: &PageFile,
+    held_index: u32,
+    granted: &Message,
+    place: *mut u8,
+    page_bytes: usize,
+) -> bool {
+    let (start, length) = direct::granted(granted);
+    let Ok(offset) = i64::try_from(u64::from(held_index) * page_bytes as u64 + start) else { return false };
+    let length = length.min(page_bytes);
+    // SAFETY: `pread` writes at most `length` bytes from `place` on.
+    // - In bounds: the place is `page_bytes` long, checked against the mapping by `ServerEnd::answer`.
     // - The place is the server's until it is published. No reference to its bytes is formed.
-    let read = unsafe { libc::pread(pages.as_fd().as_raw_fd(), place.cast(), page_bytes, offset) };
-    usize::try_from(read) == Ok(page_bytes)
+    let read = unsafe { libc::pread(pages.as_fd().as_raw_fd(), place.cast(), length, offset) };
+    usize::try_from(read) == Ok(length)
 }
 
 fn emit(message: &Message) -> [u8; HEADER_BYTES] {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::thread;
 
 use dsm_core::home::Home;
-use dsm_core::id::{ClusterId, Epoch, NodeId, PageId};
+use dsm_core::id::{ClusterId, Epoch, Incarnation, NodeId, PageId};
 use dsm_core::placement::Stripes;
 use dsm_core::transport::{Lossy, Received, SendError, Transport};
 use dsm_core::wire::{Body, HEADER_BYTES, Message, Refusal};
@@ -40,8 +40,18 @@ fn pages() -> Arc<PageFile> {
 fn request(page: u32, number: u32) -> [u8; HEADER_BYTES] {
     let mut bytes = [0; HEADER_BYTES];
     let (cluster, epoch, page) = (ClusterId(7), Epoch(1), PageId(page));
-    Message { cluster, epoch, from: READER, to: OWNER, page, request: number, body: Body::Request }
-        .emit(&mut bytes);
+    Message {
+        cluster,
+        epoch,
+        from: READER,
+        to: OWNER,
+        page,
+        request: number,
+        from_incarnation: Incarnation(0),
+        to_incarnation: Incarnation(0),
+        body: Body::REQUEST,
+    }
+    .emit(&mut bytes);
     bytes
 }
 
@@ -61,7 +71,7 @@ fn check(port: &mut impl Transport) {
         let message = Message::parse(&received.header).unwrap();
         assert_eq!((message.page, message.request), (PageId(page), number));
         assert_eq!((message.from, message.to), (OWNER, READER));
-        assert_eq!(message.body, Body::Grant { page_bytes: PAGE_BYTES });
+        assert_eq!(message.body, Body::Grant { offset: 0, bytes: PAGE_BYTES });
         assert_eq!(bytes_of(&received), vec![u8::try_from(page).unwrap(); PAGE_BYTES as usize]);
     }
     port.send(OWNER, &request(2, 900)).unwrap();

@@ -2,9 +2,11 @@
 
 use core::fmt;
 
-use crate::id::{ClusterId, Epoch, NodeId};
+use crate::id::{ClusterId, Epoch, Incarnation, NodeId};
+use crate::membership::Patience;
 use crate::page_table::StorageError;
 use crate::placement::Stripes;
+use crate::round_trip::Limits;
 
 /// What a node must know before it starts.
 #[derive(Clone, Copy, Debug)]
@@ -15,7 +17,9 @@ pub struct Config {
     pub cluster: ClusterId,
     /// The epoch it works in.
     pub epoch: Epoch,
-    /// Which node is home to which page.
+    /// How often a node of this number has been started before in this run.
+    pub incarnation: Incarnation,
+    /// Which nodes hold which page.
     pub placement: Stripes,
     /// Length of a page in bytes.
     pub page_bytes: u32,
@@ -24,8 +28,26 @@ pub struct Config {
     /// Evict when fewer slots than this are free or leaving, in the shadow of a request that is under way anyway.
     /// 0: evict when a fault finds no slot.
     pub evict_ahead: u32,
-    /// First time to the resending of a request; it doubles each time.
+    /// Pages that are hidden before they leave, at most; less than there are slots. 0: none. See
+    /// [`Residents`](crate::replacement::Residents).
+    pub hidden_max: u32,
+    /// Pages may come in fragments; the driver stores them as [`Output::Store`](super::Output::Store) says. Else a grant
+    /// of less than a page is refused.
+    pub fragments: bool,
+    /// Time to the sending again of a request to a peer whose round trip has not been measured; it doubles each time.
     pub resend_us: u64,
+    /// The least such time once it has, however short the round trip: the pause that a peer may make without harm.
+    pub resend_us_min: u64,
+    /// The greatest such time, however often it has doubled. A cluster whose round trips are longer works, and sends
+    /// everything several times.
+    pub resend_us_max: u64,
+    /// Sendings to one copy of a page before the next one is asked, at least 1.
+    pub tries: u8,
+    /// A peer that leaves requests unanswered for this long is suspected.
+    pub suspect_after_us: u64,
+    /// A peer that leaves requests unanswered for this long, and at least
+    /// [`UNANSWERED_BEFORE_DEATH`](crate::membership::UNANSWERED_BEFORE_DEATH) of them, is dead to this node.
+    pub dead_after_us: u64,
     /// A fault that is not served after this long fails.
     pub deadline_us: u64,
 }
@@ -40,8 +62,15 @@ pub enum ConfigError {
     PageBytes(u32),
     /// A batch outside `1..=`[`EVICT_BATCH_MAX`].
     EvictBatch(u32),
-    /// A time of 0.
+    /// A time of 0, or no try.
     ZeroTime,
+    /// The least time to a resending is longer than the greatest.
+    ResendTimes {
+        /// The least.
+        min_us: u64,
+        /// The greatest.
+        max_us: u64,
+    },
 }
 
 impl Config {
@@ -52,11 +81,19 @@ impl Config {
             me,
             cluster: ClusterId(0),
             epoch: Epoch(0),
+            incarnation: Incarnation(0),
             placement,
             page_bytes,
             evict_batch: 1,
             evict_ahead: 0,
+            hidden_max: 0,
+            fragments: false,
             resend_us: 10_000,
+            resend_us_min: 1_000,
+            resend_us_max: 60_000_000,
+            tries: 2,
+            suspect_after_us: 250_000,
+            dead_after_us: 2_000_000,
             deadline_us: 2_000_000,
         }
     }
@@ -70,9 +107,24 @@ impl Config {
             Self { evict_batch, .. } if !(1..=EVICT_BATCH_MAX).contains(&evict_batch) => {
                 Err(ConfigError::EvictBatch(evict_batch))
             }
-            Self { resend_us: 0, .. } | Self { deadline_us: 0, .. } => Err(ConfigError::ZeroTime),
+            Self { resend_us: 0, .. }
+            | Self { deadline_us: 0, .. }
+            | Self { suspect_after_us: 0, .. }
+            | Self { dead_after_us: 0, .. }
+            | Self { tries: 0, .. } => Err(ConfigError::ZeroTime),
+            Self { resend_us_min: min_us, resend_us_max: max_us, .. } if min_us > max_us => {
+                Err(ConfigError::ResendTimes { min_us, max_us })
+            }
             _ => Ok(()),
         }
+    }
+
+    pub(super) const fn limits(&self) -> Limits {
+        Limits { first_us: self.resend_us, min_us: self.resend_us_min, max_us: self.resend_us_max }
+    }
+
+    pub(super) const fn patience(&self) -> Patience {
+        Patience { suspect_after_us: self.suspect_after_us, dead_after_us: self.dead_after_us }
     }
 }
 
@@ -82,7 +134,10 @@ impl fmt::Display for ConfigError {
             Self::Storage(error) => write!(f, "{error}"),
             Self::PageBytes(got) => write!(f, "a page of {got} bytes is no power of two"),
             Self::EvictBatch(got) => write!(f, "a batch of {got} victims is not in 1..={EVICT_BATCH_MAX}"),
-            Self::ZeroTime => write!(f, "a resend time or deadline of 0"),
+            Self::ZeroTime => write!(f, "a time to resend, suspect, bury or give up of 0, or no try"),
+            Self::ResendTimes { min_us, max_us } => {
+                write!(f, "the least time to a resending, {min_us} us, is above the greatest, {max_us} us")
+            }
         }
     }
 }

@@ -1,12 +1,13 @@
 #![expect(clippy::cast_possible_truncation, reason = "small numbers")]
 
 use super::*;
-use crate::id::{NodeId, PageId, PortId};
+use crate::failure::Failure;
+use crate::id::{ClusterId, Epoch, NodeId, PageId, PortId};
 use crate::page_table::StorageError;
 use crate::placement::Stripes;
 use crate::replacement::{Policy, PolicyKind};
-use crate::storage::{PageEntry, SlotEntry, Storage};
-use crate::wire::HEADER_BYTES;
+use crate::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
+use crate::wire::{Body, HEADER_BYTES};
 
 const PORT: PortId = PortId(0);
 const OTHER_PORT: PortId = PortId(1);
@@ -22,7 +23,9 @@ fn with_node<const SLOTS: usize>(change: impl Fn(&mut Config), test: impl Fn(Nod
     change(&mut config);
     let mut pages = [PageEntry::EMPTY; PAGES];
     let mut slots = [SlotEntry::EMPTY; SLOTS];
-    let storage = Storage { pages: &mut pages, slots: &mut slots };
+    let (mut peers, mut requests) = ([PeerEntry::EMPTY; 2], [RequestEntry::EMPTY; 4]);
+    let storage =
+        Storage { pages: &mut pages, slots: &mut slots, peers: &mut peers, requests: &mut requests };
     test(Node::new(config, storage, Policy::new(PolicyKind::Fifo, 0)).unwrap());
 }
 
@@ -46,7 +49,7 @@ fn fetch(node: &mut Node<'_>, now: Instant, page: u32) -> Message {
     let mut buffer = [0; HEADER_BYTES];
     let Output::Transmit { len, .. } = node.poll(&mut buffer) else { panic!("no request") };
     let request = Message::parse(&buffer[..len]).unwrap();
-    assert_eq!((request.page, request.body), (PageId(page), Body::Request));
+    assert_eq!((request.page, request.body), (PageId(page), Body::REQUEST));
     request
 }
 
@@ -235,8 +238,11 @@ fn messages_that_make_no_sense_are_counted_and_change_nothing() {
                     Message { from: NodeId(0), ..good },
                     MessageError::NotOwner { page: PageId(1), from: NodeId(0) },
                 ),
-                (Message { body: Body::Grant { page_bytes: 1 }, ..good }, MessageError::PageBytes { got: 1 }),
-                (Message { body: Body::Request, ..good }, MessageError::Request),
+                (
+                    Message { body: Body::Grant { offset: 0, bytes: 16 }, ..good },
+                    MessageError::Fragment { offset: 0, bytes: 16 },
+                ),
+                (Message { body: Body::REQUEST, ..good }, MessageError::Request),
                 (Message { request: good.request + 1, ..good }, MessageError::Late(PageId(1))),
             ];
             for (message, error) in wrong {
@@ -257,7 +263,13 @@ fn configurations_that_contradict_themselves_are_refused() {
     let attempt = |config: Config, page_entries: usize, slot_entries: usize| {
         let mut pages = [PageEntry::EMPTY; PAGES];
         let mut slots = [SlotEntry::EMPTY; 4];
-        let storage = Storage { pages: &mut pages[..page_entries], slots: &mut slots[..slot_entries] };
+        let (mut peers, mut requests) = ([PeerEntry::EMPTY; 2], [RequestEntry::EMPTY; 4]);
+        let storage = Storage {
+            pages: &mut pages[..page_entries],
+            slots: &mut slots[..slot_entries],
+            peers: &mut peers,
+            requests: &mut requests,
+        };
         Node::new(config, storage, Policy::new(PolicyKind::Fifo, 0)).map(|_| ())
     };
     assert_eq!(attempt(good, PAGES, 4), Ok(()));

@@ -6,7 +6,7 @@ use crate::id::SlotId;
 use crate::storage::SlotEntry;
 
 /// Evicts in the order of arrival. Takes no reference bits.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Fifo {
     queue: Queue,
 }

@@ -12,7 +12,7 @@ use dsm_core::id::{NodeId, PageId, PortId};
 use dsm_core::node::{Config, Fault, Node, Output};
 use dsm_core::placement::Stripes;
 use dsm_core::replacement::{Policy, PolicyKind};
-use dsm_core::storage::{PageEntry, SlotEntry, Storage};
+use dsm_core::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
 use dsm_core::time::Instant;
 use dsm_core::wire::{HEADER_BYTES, Message};
 use rt_core::camera::OrbitPlace;
@@ -47,7 +47,9 @@ fn page_in(kind: PolicyKind) -> Option<()> {
     let placement = Stripes::new(16, 1, NodeId(0), 2).ok()?;
     let mut pages = [PageEntry::EMPTY; 16];
     let mut slots = [SlotEntry::EMPTY; 2];
-    let storage = Storage { pages: &mut pages, slots: &mut slots };
+    let (mut peers, mut requests) = ([PeerEntry::EMPTY; 2], [RequestEntry::EMPTY; 4]);
+    let storage =
+        Storage { pages: &mut pages, slots: &mut slots, peers: &mut peers, requests: &mut requests };
     let config = Config::new(NodeId(0), placement, 4096);
     let mut node = Node::new(config, storage, Policy::new(kind, 1)).ok()?;
     for page in (1..16).step_by(2).map(PageId) {
@@ -74,7 +76,7 @@ fn drive(node: &mut Node<'_>, now: Instant) -> Option<()> {
             }
             Output::Map { page, .. } => node.handle_filled(now, page),
             Output::Unmap { page, .. } => node.handle_unmapped(now, page),
-            Output::WakePage { .. } | Output::WakeSlots => {}
+            Output::Store { .. } | Output::WakePage { .. } | Output::WakeSlots => {}
         }
     }
 }
