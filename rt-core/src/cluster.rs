@@ -323,6 +323,9 @@ pub const fn cluster_bytes(vertices: u8, triangles: u8) -> usize {
     (quads(vertices) * 12 + quads(triangles) * 3).next_multiple_of(16)
 }
 
+/// Length of the longest record of a cluster.
+pub(crate) const CLUSTER_BYTES_MAX: usize = cluster_bytes(VERTICES_MAX, TRIANGLES_MAX);
+
 /// `count` rounded up to a multiple of 4.
 #[inline]
 pub const fn quads(count: u8) -> usize {

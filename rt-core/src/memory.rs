@@ -9,12 +9,15 @@ use core::ops::Deref;
 /// - A *record* (a branch, a leaf, a cluster, one id) never crosses a page of the image, so an instance that
 ///   holds pages apart needs to pin one page for one record.
 /// - Kernels copy small records out at once and hold the [`Record`](Self::Record) of one cluster while they
-///   test it; they never hold two.
+///   test it; they never hold two, unless [`HOLDS_NOTHING`](Self::HOLDS_NOTHING) allows it.
 pub trait SceneMemory {
     /// Bytes of one record; the page they lie on stays in place while this value lives.
     type Record<'a>: Deref<Target = [u8]>
     where
         Self: 'a;
+
+    /// Whether a record holds nothing in place, so that kernels may hold several.
+    const HOLDS_NOTHING: bool = false;
 
     /// The bytes `offset..offset + length` of the image, or `None` when they do not lie inside it.
     fn record(&self, offset: u64, length: usize) -> Option<Self::Record<'_>>;
@@ -45,6 +48,8 @@ impl SceneMemory for Flat<'_> {
         = &'b [u8]
     where
         Self: 'b;
+
+    const HOLDS_NOTHING: bool = true;
 
     #[inline]
     fn record(&self, offset: u64, length: usize) -> Option<&[u8]> {

@@ -150,9 +150,10 @@ mod tests {
     #[test]
     fn tiles_drawn_after_each_other_are_neighbours() {
         let tiles = Tiles::of(512, 512);
-        let order: std::vec::Vec<_> = Static::new(tiles, 1).drawing_order(0, 0).collect();
+        let (order, columns) = (Static::new(tiles, 1).drawing_order(0, 0), tiles.columns());
+        let order: std::vec::Vec<_> = order.collect();
         for pair in order.windows(2) {
-            let [(ax, ay), (bx, by)] = [pair[0], pair[1]].map(|TileId(id)| (id % 32, id / 32));
+            let [(ax, ay), (bx, by)] = [pair[0], pair[1]].map(|TileId(id)| (id % columns, id / columns));
             assert_eq!(ax.abs_diff(bx) + ay.abs_diff(by), 1, "{pair:?}");
         }
     }

@@ -235,10 +235,10 @@ fn broken_files_are_refused_with_one_line() {
         assert!(!text.contains('\n'), "{text:?}");
         text
     };
-    assert_eq!(refused("empty", b""), "cut short: 0 bytes, the header alone has 512");
+    assert_eq!(refused("empty", b""), "cut short: 0 bytes, the header alone has 1024");
     assert!(refused("foreign", &[7; 5000]).starts_with("not a scene image"));
     assert!(refused("unfinished", &vec![0; whole.len()]).starts_with("not a scene image"));
-    for length in [100, 511, 512, 4096, whole.len() / 2, whole.len() - 1] {
+    for length in [100, 1023, 1024, 4096, whole.len() / 2, whole.len() - 1] {
         assert!(refused("cut", &whole[..length]).starts_with("cut short"), "at {length}");
     }
     assert!(refused("long", &[whole.as_slice(), b"x"].concat()).starts_with("not a whole scene image"));

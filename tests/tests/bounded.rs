@@ -41,7 +41,7 @@ fn knot(folder: &Folder, triangles: u64, page: &str, bytes: u64) -> String {
 #[test]
 fn bounded_at_a_tenth_of_a_large_scene_and_the_overhead_does_not_grow() {
     let folder = Folder::new("bounded");
-    let (small, large) = (knot(&folder, 400_000, "16K", 0), knot(&folder, 13_500_000, "16K", 256 * MEGABYTE));
+    let (small, large) = (knot(&folder, 400_000, "16K", 0), knot(&folder, 14_500_000, "16K", 256 * MEGABYTE));
     for backend in ["uffd", "segv", "soft"] {
         let flags =
             ["--nodes", "2", "--stores", "1", "--memory", "10%", "--backend", backend, "--radius", "0.6"];
@@ -56,7 +56,7 @@ fn bounded_at_a_tenth_of_a_large_scene_and_the_overhead_does_not_grow() {
 #[test]
 fn bounded_near_the_limit_on_mappings() {
     let folder = Folder::new("bounded-mappings");
-    let image = knot(&folder, 13_500_000, "4K", 256 * MEGABYTE);
+    let image = knot(&folder, 14_500_000, "4K", 256 * MEGABYTE);
     let flags = [
         "--nodes",
         "1",

@@ -51,10 +51,12 @@ impl Volume {
     fn beam(&self, camera: &Camera, tiles: Tiles, TileId(tile): TileId) -> Vec<u32> {
         let corner =
             [tile % tiles.columns(), tile / tiles.columns()].map(|place| f64::from(place * TILE_SIZE));
-        let half = f64::from(TILE_SIZE) / 2.0;
-        let rays: Vec<DVec3> = (0..9)
+        let rays: Vec<DVec3> = (0..RAYS * RAYS)
             .map(|ray| {
-                let (x, y) = (corner[0] + half * f64::from(ray % 3), corner[1] + half * f64::from(ray / 3));
+                let [x, y] = [
+                    corner[0] + SPACING * f64::from(ray % RAYS),
+                    corner[1] + SPACING * f64::from(ray / RAYS),
+                ];
                 camera.direction(x / f64::from(self.size), y / f64::from(self.size))
             })
             .collect();
@@ -78,6 +80,12 @@ impl Volume {
         inside.then(|| morton(point.x as u32) | morton(point.y as u32) << 1 | morton(point.z as u32) << 2)
     }
 }
+
+/// Pixels between the rays that stand for a beam.
+const SPACING: f64 = 8.0;
+
+/// Rays along the edge of a tile.
+const RAYS: u32 = TILE_SIZE / 8 + 1;
 
 /// An eye, and where it looks.
 struct Camera {

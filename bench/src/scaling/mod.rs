@@ -1,6 +1,7 @@
-//! Frame rate over nodes and memory, on one machine, and what one thread's ray kernel does.
+//! Frame rate over nodes and memory, on one machine, misses by kernel, and what one thread's ray kernel does.
 
 mod kernel;
+mod misses;
 mod scenes;
 
 use core::num::NonZeroU16;
@@ -84,7 +85,9 @@ fn run(effort: Effort) -> Result<Findings> {
         table.note(format!("{}: {}", scene.name, rounds.note()));
         charts.push(chart(scene, &measured));
     }
-    findings.tables = vec![table, kernel::measure(&scenes, amount, effort)?];
+    let (misses, aims) = misses::count(&scenes, amount)?;
+    findings.aims.extend(aims);
+    findings.tables = vec![table, misses, kernel::measure(&scenes, amount, effort)?];
     findings.plot = Some(Plot { charts });
     Ok(findings)
 }

@@ -6,7 +6,7 @@ use super::frustum::Frustum;
 use super::projection::Projection;
 use super::queue::{Queue, Waiting};
 use super::triangles::{Bounds, Triangles};
-use crate::cluster::Cluster;
+use crate::cluster::{CLUSTER_BYTES_MAX, Cluster};
 use crate::count::Count;
 use crate::grid::{BoxFrame, Branch, ClusterRef, LEVELS_MAX, LeafContent, cell_coordinates, flip_cells};
 use crate::memory::SceneMemory;
@@ -231,7 +231,20 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
             return Ok(());
         }
         let record = self.scene.cluster(place)?;
-        let cluster = Cluster::new(&record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
+        if M::HOLDS_NOTHING {
+            return self.test(&record, place);
+        }
+        // A pixel in doubt looks up the triangle that it shows, and no two records may be held at a time.
+        let mut copy = [0; CLUSTER_BYTES_MAX];
+        let copy = copy.get_mut(..record.len()).ok_or(Damaged::Cluster { offset: place.offset })?;
+        copy.copy_from_slice(&record);
+        drop(record);
+        self.test(copy, place)
+    }
+
+    #[inline(always)]
+    fn test(&mut self, record: &[u8], place: &ClusterRef) -> Result<(), Damaged> {
+        let cluster = Cluster::new(record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
         self.count.cluster();
         self.count.triangles(place.triangles.into());
         self.s.apart(Test { targets: self.targets, projection: self.beam.projection, cluster: &cluster });
