@@ -126,15 +126,9 @@ impl<'a> Cluster<'a> {
         Vec3::new(lane(0), lane(v4), lane(2 * v4))
     }
 
-    /// Offers every triangle that the ray hits to `nearest`; with `ANY`, stops at the first.
+    /// Offers every triangle that the ray hits and `filter` accepts to `nearest`; with `ANY`, stops at the first.
     ///
     /// The plain way to the same result is [`WoopRay::intersect`] for each triangle.
-    #[inline(always)]
-    pub(crate) fn intersect<S: Simd, const ANY: bool>(&self, s: S, ray: &WoopRay, nearest: &mut Nearest) {
-        self.intersect_filtered::<S, _, ANY>(s, ray, nearest, &mut ());
-    }
-
-    /// As [`intersect`](Self::intersect), for the triangles whose hits `filter` accepts.
     #[inline(always)]
     pub(crate) fn intersect_filtered<S: Simd, F: Filter, const ANY: bool>(
         &self,
