@@ -1,4 +1,4 @@
-//! Triangles that cannot be projected, because they reach behind the eye or far out, such as a ground.
+//! Triangles that reach behind the eye or far out, such as a ground: they cannot be projected, or not well.
 //!
 //! Their edges and the eye span planes; which side of these a ray runs on tells whether it meets the triangle. In single
 //! precision, sixteen rays at a time; where there is doubt, the ray decides.
@@ -94,7 +94,7 @@ impl FarTriangle {
 }
 
 impl<M: SceneMemory, K: Kinds> Pixels<'_, M, K> {
-    /// Tests the triangles of a cluster that cannot be projected.
+    /// Tests the triangles of a cluster that reach far out.
     pub(super) fn test_far_triangles<S: Simd>(&mut self, s: S, cluster: &Cluster<'_>) {
         self.begin(cluster.place());
         for index in 0..usize::from(cluster.place().triangles) {
@@ -167,7 +167,7 @@ impl<M: SceneMemory, K: Kinds> Pixels<'_, M, K> {
 }
 
 impl Samples<'_> {
-    /// Tests the triangles of a cluster that cannot be projected.
+    /// Tests the triangles of a cluster that reach far out.
     pub(super) fn test_far_triangles<S: Simd>(&mut self, s: S, cluster: &Cluster<'_>) {
         for index in 0..usize::from(cluster.place().triangles) {
             let corners = cluster.triangle(index);

@@ -12,20 +12,26 @@
 //! 5. Shadows: the same with the light as the eye and the lit points as the pixels ([`points`], [`samples`],
 //!    [`sample_tests`]).
 //!
+//! # Spheres
+//! They wait in the same queue. A sphere is held against pixels, or samples, that its box shows over, sixteen rays at a time
+//! in single precision ([`spheres`], [`sphere_cover`], [`sphere_pixels`], [`sphere_samples`]); what is close to its outline
+//! or to another surface is left to the ray. What is stored in many cells is tested once a tile. So are large triangles, such
+//! as a ground, in space instead of on the plane ([`far_triangles`]).
+//!
 //! # What keeps it fast
 //! Each step has full lanes and few branches that cannot be foretold: candidates are packed together before the next
 //! step looks at them. A wrong guess of a branch costs as much as testing sixteen triangles.
 //!
 //! # Why it draws what rays draw
 //! Projection is rounded, so it only *proposes*. Its uncertainty is bounded ([`Projection`](projection::Projection));
-//! where a decision lies within it (a point next to an edge, two triangles equally deep) the ray of that pixel
+//! where a decision lies within it (a point next to an edge, two surfaces equally deep) the ray of that pixel
 //! decides, with the very test of the ray kernel. That happens to some pixels in a hundred. What is then computed from the
-//! triangle that a pixel shows is again the ray kernel's arithmetic, lane by lane. So a tile has the same bits by
+//! triangle or sphere that a pixel shows is again the ray kernel's arithmetic, lane by lane. So a tile has the same bits by
 //! beam, by rays, and with any lanes, and the order of visits does not show.
 //!
 //! # When rays take over
 //! Whole tiles: a camera that is askew or very wide, an eye or light very far away, an image that lies. Shadows of a tile: lit
-//! points that the light sees in a wide angle. Single clusters: those that reach behind the eye.
+//! points that the light sees in a wide angle. Single pixels: where there is doubt.
 #![expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,

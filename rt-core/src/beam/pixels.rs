@@ -47,7 +47,7 @@ pub(super) struct Pixels<'a, M, K> {
     damaged: Option<Damaged>,
     /// Spheres that every pixel was held against.
     pub(super) seen: Mailbox<K>,
-    /// The same of triangles that cannot be projected.
+    /// The same of triangles that reach far out.
     pub(super) far_seen: FarSeen,
 }
 
@@ -358,7 +358,7 @@ impl<S: Simd, M: SceneMemory, K: Kinds> Targets<S> for Pixels<'_, M, K> {
         self.test_cluster_of_spheres(s, projection, cluster);
     }
 
-    fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>) {
+    fn test_far(&mut self, s: S, cluster: &Cluster<'_>) {
         self.test_far_triangles(s, cluster);
     }
 }

@@ -101,7 +101,7 @@ impl<S: Simd> Targets<S> for Shadows<'_> {
         self.room.pairs.test(s, &mut self.samples, triangles);
     }
 
-    fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>) {
+    fn test_far(&mut self, s: S, cluster: &Cluster<'_>) {
         self.samples.test_far_triangles(s, cluster);
     }
 

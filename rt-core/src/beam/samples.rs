@@ -32,7 +32,7 @@ pub(super) struct Samples<'a> {
     least: f32,
     /// Whether it is out of date.
     is_stale: bool,
-    /// Triangles that cannot be projected, and that every sample was held against.
+    /// Triangles that reach far out, and that every sample was held against.
     pub(super) far_seen: FarSeen,
 }
 

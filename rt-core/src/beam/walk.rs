@@ -32,8 +32,8 @@ pub(super) trait Targets<S: Simd> {
     /// Tests the triangles of a cluster.
     fn test(&mut self, s: S, triangles: &Triangles<'_, S>);
 
-    /// Tests a cluster that cannot be projected.
-    fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>);
+    /// Tests a cluster that cannot be projected, or has a few large triangles.
+    fn test_far(&mut self, s: S, cluster: &Cluster<'_>);
 
     /// Tests the spheres of a cluster.
     fn test_spheres(&mut self, s: S, projection: &Projection, cluster: &SphereCluster<'_>);
@@ -307,8 +307,8 @@ impl<S: Simd, T: Targets<S>> Part<S> for Test<'_, T> {
     fn run(self, s: S) {
         let Self { targets, projection, cluster } = self;
         match projection.triangles(s, cluster) {
-            Some(triangles) => targets.test(s, &triangles),
-            None => targets.test_by_rays(s, cluster),
+            Some(triangles) if !triangles.are_large() => targets.test(s, &triangles),
+            _ => targets.test_far(s, cluster),
         }
     }
 }
