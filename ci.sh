@@ -60,7 +60,7 @@ loom() {
 
 # Puts faults into the protocol, one at a time, and prints which engine notices which. Half a minute.
 mutants() {
-    RUSTFLAGS="--cfg mutants" cargo test -p dsm-core --test mutants --release --locked --target-dir target/mutants -- --nocapture
+    RUSTFLAGS="--cfg mutants" cargo test -p dsm-core --test mutants -p dsm-sim --test scenarios --release --locked --target-dir target/mutants -- --nocapture
 }
 
 fuzz() {

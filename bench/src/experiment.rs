@@ -3,7 +3,7 @@
 use anyhow::Result;
 
 use crate::findings::Findings;
-use crate::{embree, left_out, paging_core, scaling, table1};
+use crate::{embree, left_out, paging_core, replacement, scaling, sim, table1};
 
 /// An experiment: its name on the command line, what it shows, how it is run.
 #[derive(Debug)]
@@ -28,7 +28,9 @@ pub(crate) enum Effort {
 pub(crate) const ALL: &[Experiment] = &[
     table1::EXPERIMENT,
     paging_core::EXPERIMENT,
+    sim::EXPERIMENT,
     scaling::EXPERIMENT,
+    replacement::EXPERIMENT,
     embree::EXPERIMENT,
     left_out::EXPERIMENT,
 ];

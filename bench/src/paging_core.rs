@@ -148,7 +148,7 @@ fn drive(node: &mut Node<'_>, now: Instant) {
                 victim_count += 1;
             }
             Output::Map { page, .. } => mapped = Some(page),
-            Output::Store { .. } | Output::WakePage { .. } | Output::WakeSlots => {}
+            Output::Store { .. } | Output::Hide { .. } | Output::WakePage { .. } | Output::WakeSlots => {}
         }
     }
     for page in &victims[..victim_count] {

@@ -57,6 +57,10 @@ pub(crate) struct SetUp {
     pub(crate) binds_to_cores: bool,
     pub(crate) backend: String,
     pub(crate) policy: String,
+    /// A source of reference bits by name.
+    pub(crate) reference: String,
+    pub(crate) hidden_per_cent: u32,
+    pub(crate) prefetch: bool,
     pub(crate) kernel: String,
     pub(crate) transport: TransportKind,
     pub(crate) spin_us: u64,
