@@ -9,9 +9,10 @@
 use glam::Vec3;
 
 use crate::filter::Filter;
-use crate::grid::{ClusterRef, TRIANGLES_MAX, VERTICES_MAX};
+use crate::grid::{ClusterRef, SPHERES_MAX, TRIANGLES_MAX, VERTICES_MAX};
 use crate::ray::Primitive;
 use crate::simd::{LANES, Mask, Part, Simd, each, first_lanes};
+use crate::sphere::spheres_bytes;
 use crate::surface::Surface;
 use crate::triangle_moller::MollerRay;
 use crate::triangle_test::TriangleTest;
@@ -126,15 +127,9 @@ impl<'a> Cluster<'a> {
         Vec3::new(lane(0), lane(v4), lane(2 * v4))
     }
 
-    /// Offers every triangle that the ray hits to `nearest`; with `ANY`, stops at the first.
+    /// Offers every triangle that the ray hits and `filter` accepts to `nearest`; with `ANY`, stops at the first.
     ///
     /// The plain way to the same result is [`WoopRay::intersect`] for each triangle.
-    #[inline(always)]
-    pub(crate) fn intersect<S: Simd, const ANY: bool>(&self, s: S, ray: &WoopRay, nearest: &mut Nearest) {
-        self.intersect_filtered::<S, _, ANY>(s, ray, nearest, &mut ());
-    }
-
-    /// As [`intersect`](Self::intersect), for the triangles whose hits `filter` accepts.
     #[inline(always)]
     pub(crate) fn intersect_filtered<S: Simd, F: Filter, const ANY: bool>(
         &self,
@@ -323,8 +318,11 @@ pub const fn cluster_bytes(vertices: u8, triangles: u8) -> usize {
     (quads(vertices) * 12 + quads(triangles) * 3).next_multiple_of(16)
 }
 
-/// Length of the longest record of a cluster.
-pub(crate) const CLUSTER_BYTES_MAX: usize = cluster_bytes(VERTICES_MAX, TRIANGLES_MAX);
+/// Length of the longest record of a cluster, of triangles or of spheres.
+pub(crate) const CLUSTER_BYTES_MAX: usize = {
+    let (triangles, spheres) = (cluster_bytes(VERTICES_MAX, TRIANGLES_MAX), spheres_bytes(SPHERES_MAX));
+    if triangles > spheres { triangles } else { spheres }
+};
 
 /// `count` rounded up to a multiple of 4.
 #[inline]

@@ -127,6 +127,17 @@ impl<'a> SphereCluster<'a> {
         Some(Self { lanes, place: *place })
     }
 
+    /// Where the cluster lies and how large it is.
+    pub const fn place(&self) -> &SpheresRef {
+        &self.place
+    }
+
+    /// Centres' coordinates by axis, then radii; a multiple of four each.
+    #[inline]
+    pub(crate) const fn lanes(&self) -> [&'a [[u8; 4]]; 4] {
+        self.lanes
+    }
+
     /// Address-order index of sphere `index`.
     #[inline]
     pub fn primitive(&self, index: usize) -> Primitive {

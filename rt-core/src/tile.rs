@@ -93,8 +93,8 @@ impl Tile {
 /// Draws one tile: a grey byte per pixel, row by row, into `pixels`.
 ///
 /// Each pixel is one ray from the eye, flat shading, and a hard shadow of the point light. The bytes depend
-/// on the scene and the frame alone, not on the kernel. Beams take some 200 KB of stack. They know triangles only: a
-/// scene with spheres is drawn by rays. The isosurfaces of a volume are those of the frame.
+/// on the scene and the frame alone, not on the kernel. Beams take some 200 KB of stack. The isosurfaces of a volume are
+/// those of the frame.
 ///
 /// # Edge cases
 /// A pixel whose rays end in [`Damaged`] shows the background and is counted.
@@ -133,10 +133,8 @@ impl<M: SceneMemory, C: Count> ForKinds for DrawTile<'_, M, C> {
     fn run<K: Kinds>(self) -> TileCounts {
         let Self { view, tile, kernel, pixels, work } = self;
         let by_beams = match kernel {
-            Kernel::Beams(lanes) if K::TRIANGLES && !K::SPHERES => {
-                beam::draw(lanes, view, tile, pixels, work)
-            }
-            _ => None,
+            Kernel::Beams(lanes) => beam::draw::<M, C, K>(lanes, view, tile, pixels, work),
+            Kernel::Rays(_) => None,
         };
         let (Kernel::Beams(lanes) | Kernel::Rays(lanes)) = kernel;
         by_beams

@@ -313,6 +313,13 @@ impl<M: SceneMemory> SceneView<M> {
         let length = crate::cluster::cluster_bytes(place.vertices, place.triangles);
         self.memory.prefetch(self.header.segments.clusters.offset.saturating_add(place.offset), length);
     }
+
+    /// The same for a cluster of spheres.
+    #[inline]
+    pub(crate) fn prefetch_spheres(&self, place: &SpheresRef) {
+        let length = crate::sphere::spheres_bytes(place.count);
+        self.memory.prefetch(self.header.segments.clusters.offset.saturating_add(place.offset), length);
+    }
 }
 
 impl fmt::Display for Damaged {

@@ -2,12 +2,14 @@
 
 mod common;
 
+use common::models::{image_of, models};
 use common::{Dice, image, meshes};
 use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::camera::OrbitPlace;
+use rt_core::sphere::Sphere;
 use rt_core::{Bounds, Flat, Frame, Kernel, Lanes, Orbit, SceneView, TileCounts, Tiles, render_tile};
-use scene::builtin;
+use scene::{Model, builtin};
 
 /// A picture and what was counted.
 type Drawn = (Vec<u8>, TileCounts);
@@ -55,6 +57,22 @@ fn a_knot_is_drawn_the_same_from_everywhere() {
             let place = OrbitPlace { radius, elevation: f64::from(frame) * 15.0 - 40.0, frame, frames: 7 };
             let frame = on_orbit(&scene.header().bounds, &place, 150, 121);
             hits += agree(&scene, &frame, &format!("{triangles} triangles, {place:?}")).hits;
+        }
+        assert!(hits > 20_000, "{hits}");
+    }
+}
+
+#[test]
+fn sphereflakes_are_drawn_the_same() {
+    for depth in [2, 4, 5] {
+        let model = builtin::sphereflake(depth);
+        let image = image_of(&model, 0.5, 16 << 10);
+        let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+        let mut hits = 0;
+        for (frame, radius) in [(0, 1.5), (1, 0.75), (2, 0.3), (3, 0.1), (4, 0.02), (5, 40.0), (6, 1.0)] {
+            let place = OrbitPlace { radius, elevation: f64::from(frame) * 15.0 - 40.0, frame, frames: 7 };
+            let frame = on_orbit(&scene.header().view, &place, 150, 121);
+            hits += agree(&scene, &frame, &format!("sphereflake {depth}, {place:?}")).hits;
         }
         assert!(hits > 20_000, "{hits}");
     }
@@ -118,6 +136,50 @@ proptest! {
             }
         }
     }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 150, ..ProptestConfig::default() })]
+
+    #[test]
+    fn any_scene_with_spheres_is_drawn_the_same(
+        model in models(),
+        slack in prop_oneof![Just(0.0_f32), Just(0.5), Just(3.0)],
+        seed: u64,
+    ) {
+        let image = image_of(&model, slack, 4096);
+        let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+        let mut dice = Dice(seed);
+        for _ in 0..4 {
+            if let Some(frame) = any_frame(&scene, &mut dice, 40) {
+                agree(&scene, &frame, &format!("{frame:?}"));
+            }
+        }
+    }
+}
+
+#[test]
+fn many_spheres_in_one_place_are_drawn_the_same() {
+    let mut dice = Dice(7);
+    let mut spheres = vec![Sphere { centre: Vec3::ZERO, radius: 1.0 }; 100];
+    // Almost the same ones, shells within shells, one around everything, and specks.
+    let radii = [1.0, 1.000_000_1, 0.999_999_9, 0.5, 1.0e-4, 1.0e-6, 40.0];
+    spheres.extend((0..600).map(|number| {
+        let centre = dice.point() * [0.0, 1.0e-7, 1.0e-3, 1.0][number / 7 % 4];
+        Sphere { centre, radius: radii[number % 7] }
+    }));
+    let image = image_of(&Model::from(spheres), 0.5, 4096);
+    let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+    let bounds = scene.header().bounds;
+    let mut hits = 0;
+    for (frame, radius) in [(0, 1.5), (1, 0.1), (2, 0.02), (3, 0.025), (4, 0.012), (5, 0.001), (6, 20.0)] {
+        let place = OrbitPlace { radius, elevation: 20.0, frame, frames: 7 };
+        let mut frame = on_orbit(&bounds, &place, 70, 65);
+        hits += agree(&scene, &frame, &format!("{place:?}")).hits;
+        frame.light = Vec3::new(1.5, 0.2, -0.3);
+        agree(&scene, &frame, &format!("light within, {place:?}"));
+    }
+    assert!(hits > 10_000, "{hits}");
 }
 
 #[test]

@@ -3,20 +3,15 @@
 
 mod common;
 
-use common::{Dice, agree, meshes, single};
+use common::models::{image_of, models};
+use common::{Dice, agree, single};
 use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::scale::{Scale, exponent_of};
 use rt_core::sphere::{Sphere, SphereRay};
 use rt_core::triangle_f64::F64Ray;
 use rt_core::{Flat, GeometryId, Hit, Packet16, Ray, SceneNeeds, SceneView, WorkCounts};
-use scene::{BuildOptions, Mesh, Model, build, builtin};
-
-/// The image of a model.
-fn image(model: &Model, slack: f32, page_bytes: u32) -> Vec<u8> {
-    let scene = build(model.clone(), &BuildOptions { slack }, &|_| {}).expect("a model that builds");
-    scene.to_bytes(page_bytes).expect("an image that fits")
-}
+use scene::{Mesh, Model, builtin};
 
 /// Rays of all the kinds that have gone wrong, at a sphere or past it.
 fn ray_at(sphere: &Sphere, diagonal: f32, dice: &mut Dice) -> Ray {
@@ -48,52 +43,6 @@ fn ray_at(sphere: &Sphere, diagonal: f32, dice: &mut Dice) -> Ray {
     Ray { origin: aim - unit * distance, direction, t_max }
 }
 
-/// Spheres of all sizes; some are equal, some concentric, some lie on a lattice so that they touch cells.
-fn spheres() -> impl Strategy<Value = Vec<Sphere>> {
-    let point = [-1.0..1.0_f32, -1.0..1.0_f32, -1.0..1.0_f32].prop_map(Vec3::from);
-    let lattice = [-4..5_i8, -4..5_i8, -4..5_i8].prop_map(|at| Vec3::from(at.map(f32::from)) * 0.25);
-    let radius = prop_oneof![Just(0.0_f32), Just(0.25), Just(1.0e-7), Just(1.0), 0.0..0.01_f32, 0.0..0.5_f32];
-    let sphere = (prop_oneof![3 => point, 1 => lattice], radius)
-        .prop_map(|(centre, radius)| Sphere { centre, radius });
-    let cluster = (sphere, 0..8_u8).prop_map(|(sphere, kind)| match kind {
-        0 => vec![sphere; 3],
-        1 => (1..40_u8).map(|i| Sphere { radius: sphere.radius * f32::from(i) / 40.0, ..sphere }).collect(),
-        _ => vec![sphere],
-    });
-    prop::collection::vec(cluster, 1..100).prop_map(|clusters| clusters.concat())
-}
-
-/// Spheres, with triangles or without, anywhere and of any scale.
-fn models() -> impl Strategy<Value = Model> {
-    let triangles = prop_oneof![2 => Just(Mesh::default()), 1 => meshes()];
-    let offset = prop_oneof![3 => Just(Vec3::ZERO), 1 => Just(Vec3::new(50.0, -3.0, 0.0)), 1 => Just(Vec3::splat(1.0e5))];
-    let scale = prop_oneof![3 => Just(1.0_f32), 1 => Just(1.0e-18), 1 => Just(1.0e18), 1 => Just(0.37)];
-    (triangles, spheres(), offset, scale)
-        .prop_map(|(mesh, spheres, offset, scale)| {
-            // Those of `meshes` are placed already; spheres go where the mesh is.
-            let at = mesh.bounds().map_or(Placed { offset, scale }, |bounds| Placed {
-                offset: (bounds.low + bounds.high) * 0.5 / (bounds.high - bounds.low).max_element(),
-                scale: (bounds.high - bounds.low).max_element(),
-            });
-            Model { mesh, spheres: spheres.iter().map(|sphere| at.sphere(sphere)).collect(), view: None }
-        })
-        .prop_filter("something to hit", |model| {
-            build(model.clone(), &BuildOptions::default(), &|_| {}).is_ok()
-        })
-}
-
-struct Placed {
-    offset: Vec3,
-    scale: f32,
-}
-
-impl Placed {
-    fn sphere(&self, sphere: &Sphere) -> Sphere {
-        let Self { offset, scale } = self;
-        Sphere { centre: (sphere.centre + *offset) * *scale, radius: sphere.radius * *scale }
-    }
-}
-
 proptest! {
     #![proptest_config(ProptestConfig { cases: 600, max_shrink_iters: 2000, ..ProptestConfig::default() })]
 
@@ -104,7 +53,7 @@ proptest! {
         slack in prop_oneof![Just(0.0_f32), Just(0.5), Just(1.0), Just(3.0)],
         page_bytes in prop_oneof![Just(4096_u32), Just(16_384)],
     ) {
-        let image = image(&model, slack, page_bytes);
+        let image = image_of(&model, slack, page_bytes);
         let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
         let bounds = scene.header().bounds;
         let mut dice = Dice(seed);
@@ -119,7 +68,7 @@ proptest! {
 fn many_rays_through_a_sphereflake_agree() {
     for (depth, slack) in [(3, 0.5), (3, 0.0), (4, 0.5), (0, 0.5)] {
         let model = builtin::sphereflake(depth);
-        let image = image(&model, slack, 4096);
+        let image = image_of(&model, slack, 4096);
         let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
         assert_eq!(scene.header().needs, SceneNeeds::TRIANGLES.with(SceneNeeds::SPHERES));
         let mut dice = Dice(7);
@@ -138,7 +87,7 @@ fn many_rays_through_a_sphereflake_agree() {
 #[test]
 fn filters_packets_and_triangle_tests_know_both_kinds() {
     let model = builtin::sphereflake(2);
-    let alone = |model: Model| image(&model, 0.5, 4096);
+    let alone = |model: Model| image_of(&model, 0.5, 4096);
     let images =
         [alone(model.clone()), alone(model.mesh.clone().into()), alone(model.spheres.clone().into())];
     let [both, ground, flake] =
@@ -175,7 +124,7 @@ fn a_cell_inside_a_sphere_does_not_know_of_it() {
     let small = |dice: &mut Dice| Sphere { centre: dice.point() * 0.4, radius: 0.01 };
     let mut spheres: Vec<Sphere> = (0..4000).map(|_| small(&mut dice)).collect();
     spheres.push(Sphere { centre: Vec3::ZERO, radius: 2.0 });
-    let image = image(&spheres.into(), 0.5, 4096);
+    let image = image_of(&spheres.into(), 0.5, 4096);
     let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
     let mut work = WorkCounts::default();
     // Short rays among the small ones never come near the shell.
@@ -207,7 +156,7 @@ fn where_a_sphere_touches_a_triangle_the_triangle_is_hit() {
     let down = Ray { origin: Vec3::Z, direction: Vec3::NEG_Z, t_max: f32::INFINITY };
     for slack in [0.0, 0.5] {
         let id = |model: Model| {
-            let image = image(&model, slack, 4096);
+            let image = image_of(&model, slack, 4096);
             let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
             let hit = agree(&scene, &down).expect("in the way");
             assert_eq!((hit.t, hit.normal), (1.0, Vec3::Z));
@@ -226,7 +175,7 @@ fn equal_spheres_are_kept_once_and_specks_not_at_all() {
     spheres.push(Sphere { radius: 0.0, ..ball });
     spheres.push(Sphere { centre: Vec3::new(-0.0, 2.0, 3.0), radius: 0.25 });
     spheres.push(Sphere { centre: Vec3::new(0.0, 2.0, 3.0), radius: 0.25 });
-    let image = image(&spheres.into(), 0.5, 4096);
+    let image = image_of(&spheres.into(), 0.5, 4096);
     let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
     let header = scene.header();
     assert_eq!((header.spheres, header.repeated, header.collapsed), (100_003, 100_000, 1));

@@ -1,7 +1,7 @@
 //! Our side: the kernels, and drawing whole pictures with them.
 
 use anyhow::{Result, ensure};
-use rt_core::{Flat, Frame, SceneNeeds, SceneView, TILE_SIZE, TileCounts, Tiles, render_tile};
+use rt_core::{Flat, Frame, SceneView, TILE_SIZE, TileCounts, Tiles, render_tile};
 use scene::{BuildOptions, Model, build};
 
 use super::drawn::Drawn;
@@ -33,11 +33,9 @@ pub(super) fn without_light(frame: &Frame) -> Frame {
 }
 
 impl Kernel {
-    /// All that this processor can run and that draw such a scene their own way: beams leave spheres to the ray
-    /// kernel.
-    pub(super) fn of_scene(needs: SceneNeeds) -> impl Iterator<Item = Self> {
-        let spheres = needs.contains(SceneNeeds::SPHERES);
-        rt_core::Kernel::available().map(Self).filter(move |kernel| kernel.is_ray() || !spheres)
+    /// All that this processor can run.
+    pub(super) fn available() -> impl Iterator<Item = Self> {
+        rt_core::Kernel::available().map(Self)
     }
 
     /// The kernel that follows one ray at a time, on any processor.

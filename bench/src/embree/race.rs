@@ -1,7 +1,7 @@
 //! A race: everybody draws every frame in turns, round after round.
 
 use anyhow::{Context, Result, ensure};
-use rt_core::{Flat, Frame, SceneNeeds, SceneView};
+use rt_core::{Flat, Frame, SceneView};
 
 use super::drawn::Drawn;
 use super::level::Level;
@@ -81,7 +81,7 @@ struct Field<'a> {
 pub(super) fn run(track: &Track, image: &[u8], peers: &mut [Peer]) -> Result<Race> {
     let Track { name, frames, rounds, effort } = track;
     let scene = SceneView::new(Flat::new(image))?;
-    let entrants = entrants(scene.header().needs, peers);
+    let entrants = entrants(peers);
     let first = frames.first().context("no frame to draw")?;
     let picture = vec![0; first.width as usize * first.height as usize];
     let mut field = Field { scene, peers, picture };
@@ -93,9 +93,9 @@ pub(super) fn run(track: &Track, image: &[u8], peers: &mut [Peer]) -> Result<Rac
     Ok(Race { standings, note: rounds.note() })
 }
 
-/// All of ours for such a scene, and Embree in all modes; with fast edges at the widest level only.
-fn entrants(needs: SceneNeeds, peers: &[Peer]) -> Vec<Entrant> {
-    let ours = Kernel::of_scene(needs).map(|kernel| Entrant {
+/// All of ours, and Embree in all modes; with fast edges at the widest level only.
+fn entrants(peers: &[Peer]) -> Vec<Entrant> {
+    let ours = Kernel::available().map(|kernel| Entrant {
         name: format!("ours, {}", kernel.name()),
         level: kernel.level(),
         way: Way::Ours(kernel),

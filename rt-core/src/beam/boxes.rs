@@ -24,7 +24,6 @@ impl Projection {
     /// way there; that much is added.
     #[inline(always)]
     pub(super) fn boxes<S: Simd>(&self, s: S, centre: [S::F; 3], half: [S::F; 3]) -> Boxes<S::F> {
-        let [zero, one, infinite] = each!(3: [0.0, 1.0, f32::INFINITY], value => s.splat(value));
         let away = each!(3: [0, 1, 2], axis => s.add(s.abs(centre[axis]), half[axis]));
         let away = s.mul(s.add(s.add(away[0], away[1]), away[2]), s.splat(ROUNDING));
         let [x, y, depth] = each!(3: self.rows, row => {
@@ -32,6 +31,26 @@ impl Projection {
             let reach = s.add(s.dot(size, half), s.mul(away, s.add(s.add(size[0], size[1]), size[2])));
             (s.dot(row, centre), reach)
         });
+        self.quotients(s, [x, y, depth])
+    }
+
+    /// The same for balls of these radii: from a row's direction a ball looks no larger than from any other.
+    #[inline(always)]
+    pub(super) fn boxes_of_balls<S: Simd>(&self, s: S, centre: [S::F; 3], radius: S::F) -> Boxes<S::F> {
+        let away = each!(3: centre, value => s.abs(value));
+        let away = s.mul(s.add(s.add(s.add(away[0], away[1]), away[2]), radius), s.splat(ROUNDING));
+        let [x, y, depth] = each!(3: [0, 1, 2], row => {
+            let (length, row) = (s.splat(self.lengths[row]), self.rows[row]);
+            let reach = s.add(s.mul(length, radius), s.mul(away, s.splat(row.abs().element_sum())));
+            (s.dot(s.splat3(row), centre), reach)
+        });
+        self.quotients(s, [x, y, depth])
+    }
+
+    /// Boxes from middles and reaches of the two coordinates, not yet divided by the depth, and of the depth.
+    #[inline(always)]
+    fn quotients<S: Simd>(&self, s: S, [x, y, depth]: [(S::F, S::F); 3]) -> Boxes<S::F> {
+        let [zero, one, infinite] = each!(3: [0.0, 1.0, f32::INFINITY], value => s.splat(value));
         let near = s.sub(depth.0, depth.1);
         let per_near = s.div(one, near);
         let per_far = s.div(one, s.add(depth.0, depth.1));

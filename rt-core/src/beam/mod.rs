@@ -12,20 +12,26 @@
 //! 5. Shadows: the same with the light as the eye and the lit points as the pixels ([`points`], [`samples`],
 //!    [`sample_tests`]).
 //!
+//! # Spheres
+//! They wait in the same queue. A sphere is held against pixels, or samples, that its box shows over, sixteen rays at a time
+//! in single precision ([`spheres`], [`sphere_cover`], [`sphere_pixels`], [`sphere_samples`]); what is close to its outline
+//! or to another surface is left to the ray. What is stored in many cells is tested once a tile. So are large triangles, such
+//! as a ground, in space instead of on the plane ([`far_triangles`]).
+//!
 //! # What keeps it fast
 //! Each step has full lanes and few branches that cannot be foretold: candidates are packed together before the next
 //! step looks at them. A wrong guess of a branch costs as much as testing sixteen triangles.
 //!
 //! # Why it draws what rays draw
 //! Projection is rounded, so it only *proposes*. Its uncertainty is bounded ([`Projection`](projection::Projection));
-//! where a decision lies within it (a point next to an edge, two triangles equally deep) the ray of that pixel
+//! where a decision lies within it (a point next to an edge, two surfaces equally deep) the ray of that pixel
 //! decides, with the very test of the ray kernel. That happens to some pixels in a hundred. What is then computed from the
-//! triangle that a pixel shows is again the ray kernel's arithmetic, lane by lane. So a tile has the same bits by
+//! triangle or sphere that a pixel shows is again the ray kernel's arithmetic, lane by lane. So a tile has the same bits by
 //! beam, by rays, and with any lanes, and the order of visits does not show.
 //!
 //! # When rays take over
-//! Whole tiles: a scene with spheres, a camera that is askew or very wide, an eye or light very far away, an image that lies. Shadows of a tile: lit
-//! points that the light sees in a wide angle. Single clusters: those that reach behind the eye.
+//! Whole tiles: a camera that is askew or very wide, an eye or light very far away, an image that lies. Shadows of a tile: lit
+//! points that the light sees in a wide angle. Single pixels: where there is doubt.
 #![expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
@@ -34,6 +40,7 @@
 
 mod boxes;
 mod edges;
+mod far_triangles;
 mod frustum;
 mod pixel_tests;
 mod pixels;
@@ -42,15 +49,22 @@ mod projection;
 mod queue;
 mod sample_tests;
 mod samples;
+mod sphere_cover;
+mod sphere_pixels;
+mod sphere_samples;
+mod sphere_surface;
+mod spheres;
 mod surface;
 mod triangles;
 mod walk;
 mod winners;
 
+use core::marker::PhantomData;
+
 use crate::blocks::{BLOCKS, ByBlock, block_and_lane};
 use crate::count::{Count, TileCounts};
 use crate::grid_ray::GridRay;
-use crate::kinds::OnlyTriangles;
+use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
 use crate::scale::Scale;
 use crate::shade;
@@ -64,34 +78,36 @@ use points::{POINTS_MAX, Points};
 use projection::Projection;
 use sample_tests::Shadows;
 use samples::Samples;
+use sphere_samples::SphereRoom;
 use surface::{Lighting, surface};
 use walk::{Beam, walk};
 
 /// Draws a tile by beams, or tells that it has to be drawn by rays.
-pub(crate) fn draw<M: SceneMemory, C: Count>(
+pub(crate) fn draw<M: SceneMemory, C: Count, K: Kinds>(
     lanes: Lanes,
     view: &TileView<'_, M>,
     tile: Tile,
     pixels: &mut [u8],
     work: &mut C,
 ) -> Option<TileCounts> {
-    lanes.run(Draw { view, tile, pixels, work })
+    lanes.run(Draw::<M, C, K> { view, tile, pixels, work, kinds: PhantomData })
 }
 
-struct Draw<'a, M, C> {
+struct Draw<'a, M, C, K> {
     view: &'a TileView<'a, M>,
     tile: Tile,
     pixels: &'a mut [u8],
     work: &'a mut C,
+    kinds: PhantomData<K>,
 }
 
-impl<M: SceneMemory, C: Count> Task for Draw<'_, M, C> {
+impl<M: SceneMemory, C: Count, K: Kinds> Task for Draw<'_, M, C, K> {
     type Output = Option<TileCounts>;
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) -> Option<TileCounts> {
-        let Self { view, tile, pixels: bytes, work } = self;
-        let Some(pixels) = see(s, view, tile, work)?.ok()? else {
+        let Self { view, tile, pixels: bytes, work, .. } = self;
+        let Some(pixels) = see::<S, M, C, K>(s, view, tile, work)?.ok()? else {
             bytes.fill(shade::byte(shade::BACKGROUND));
             return Some(TileCounts { primary: tile.pixels() as u64, ..TileCounts::default() });
         };
@@ -108,7 +124,7 @@ impl<M: SceneMemory, C: Count> Task for Draw<'_, M, C> {
             }
         }
         let shadow = if view.frame.has_shadows() { lit.points.count as u64 } else { 0 };
-        let shadowed = if shadow == 0 { 0 } else { lit.cast_shadows(s, view, work).ok()? };
+        let shadowed = if shadow == 0 { 0 } else { lit.cast_shadows::<S, M, C, K>(s, view, work).ok()? };
         write(s, &lit.grey, tile, bytes);
         Some(TileCounts {
             primary: tile.pixels() as u64,
@@ -121,15 +137,15 @@ impl<M: SceneMemory, C: Count> Task for Draw<'_, M, C> {
     }
 }
 
-/// Finds the nearest triangle of each pixel; `None` when the camera is not for beams. No pixels when none hits
+/// Finds the nearest surface of each pixel; `None` when the camera is not for beams. No pixels when none hits
 /// anything.
 #[inline(always)]
-fn see<'a, S: Simd, M: SceneMemory, C: Count>(
+fn see<'a, S: Simd, M: SceneMemory, C: Count, K: Kinds>(
     s: S,
     view: &'a TileView<'_, M>,
     tile: Tile,
     work: &mut C,
-) -> Option<Result<Option<Pixels<'a, M>>, Damaged>> {
+) -> Option<Result<Option<Pixels<'a, M, K>>, Damaged>> {
     let camera = &view.frame.camera;
     let projection = Projection::of_tile(camera, view.eye, tile)?;
     let frustum = Frustum::new(s, &projection, &view.scene.header().grid)?;
@@ -143,7 +159,7 @@ fn see<'a, S: Simd, M: SceneMemory, C: Count>(
         Err(damaged) => return Some(Err(damaged)),
     }
     let mut pixels = Pixels::new(view, tile, projection.depth_epsilon);
-    let walked = walk(s, view.scene, &beam, &mut pixels, work).and_then(|()| pixels.check());
+    let walked = walk::<S, M, C, K, _>(s, view.scene, &beam, &mut pixels, work).and_then(|()| pixels.check());
     Some(walked.map(|()| pixels.hit.iter().any(|&hit| hit != 0).then_some(pixels)))
 }
 
@@ -167,19 +183,19 @@ impl Lit {
 
     /// Darkens the pixels that the light does not reach, and counts them.
     #[inline(always)]
-    fn cast_shadows<S: Simd, M: SceneMemory, C: Count>(
+    fn cast_shadows<S: Simd, M: SceneMemory, C: Count, K: Kinds>(
         &mut self,
         s: S,
         view: &TileView<'_, M>,
         work: &mut C,
     ) -> Result<u64, Damaged> {
         let shadowed = match self.points.projection(s, view.light) {
-            Some(projection) => by_beam(s, &self.points, &projection, view, work)?,
+            Some(projection) => by_beam::<S, M, C, K>(s, &self.points, &projection, view, work)?,
             None => None,
         };
         let shadowed = match shadowed {
             Some(shadowed) => shadowed,
-            None => by_rays(s, &self.points, view, work)?,
+            None => by_rays::<S, M, C, K>(s, &self.points, view, work)?,
         };
         let (mut index, mut count) = (0, 0);
         for (grey, &facing) in self.grey.iter_mut().zip(&self.facing) {
@@ -200,7 +216,7 @@ impl Lit {
 
 /// Whether each point lies in shadow; `None` when the light is not for beams.
 #[inline(always)]
-fn by_beam<S: Simd, M: SceneMemory, C: Count>(
+fn by_beam<S: Simd, M: SceneMemory, C: Count, K: Kinds>(
     s: S,
     points: &Points,
     projection: &Projection,
@@ -210,13 +226,15 @@ fn by_beam<S: Simd, M: SceneMemory, C: Count>(
     let Some(frustum) = Frustum::new(s, projection, &view.scene.header().grid) else {
         return Ok(None);
     };
-    let mut shadows = Shadows::new(Samples::new(s, points, projection));
-    walk(s, view.scene, &Beam { projection, frustum: &frustum }, &mut shadows, work)?;
+    let samples = Samples::new(s, points, projection);
+    let spheres = if K::SPHERES { Some(SphereRoom::new()) } else { None };
+    let mut shadows = Shadows::new(samples, spheres);
+    walk::<S, M, C, K, _>(s, view.scene, &Beam { projection, frustum: &frustum }, &mut shadows, work)?;
     Ok(Some(shadows.samples.shadowed))
 }
 
 #[inline(always)]
-fn by_rays<S: Simd, M: SceneMemory, C: Count>(
+fn by_rays<S: Simd, M: SceneMemory, C: Count, K: Kinds>(
     s: S,
     points: &Points,
     view: &TileView<'_, M>,
@@ -227,8 +245,7 @@ fn by_rays<S: Simd, M: SceneMemory, C: Count>(
         let point = points.get(index);
         let ray = GridRay::new(point, view.light - point, 1.0, Scale::ONE, &view.scene.header().grid);
         if let Some(ray) = ray {
-            *shadowed =
-                walk_by_ray::<S, M, C, OnlyTriangles, true>(s, view.scene, &ray, work)?.surface.is_some();
+            *shadowed = walk_by_ray::<S, M, C, K, true>(s, view.scene, &ray, work)?.surface.is_some();
         }
     }
     Ok(shadowed)

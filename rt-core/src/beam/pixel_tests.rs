@@ -9,6 +9,7 @@ use super::pixels::{COLUMNS, Pixels, ROWS, lanes_in};
 use super::triangles::{Corners, Triangles};
 use crate::blocks::{BLOCKS, block_at, first_pixel};
 use crate::grid::TRIANGLES_MAX;
+use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
 use crate::simd::{LANES, Mask, Simd, each, first_lanes};
 use crate::tile::TILE_SIZE;
@@ -44,7 +45,7 @@ impl Lists {
 
 impl<F: Copy> Reach<F> {
     #[inline(always)]
-    fn of<S: Simd<F = F>, M>(s: S, pixels: &Pixels<'_, M>, extent: &Extent<F>, delta: f32) -> Self {
+    fn of<S: Simd<F = F>, M, K>(s: S, pixels: &Pixels<'_, M, K>, extent: &Extent<F>, delta: f32) -> Self {
         let delta = s.splat(delta);
         Self {
             left: first_place(s, s.sub(extent.left, delta)),
@@ -57,7 +58,7 @@ impl<F: Copy> Reach<F> {
 
 /// The first pixel that does not lie before a place.
 #[inline(always)]
-fn first_place<S: Simd>(s: S, place: S::F) -> S::F {
+pub(super) fn first_place<S: Simd>(s: S, place: S::F) -> S::F {
     let place = s.min(s.max(place, s.splat(0.0)), s.splat(2.0 * TILE_SIZE as f32));
     // Nearly the next whole number: a pixel too many does not matter, one too few would.
     s.to_float(s.to_int(s.add(place, s.splat(0.999_99))))
@@ -65,14 +66,14 @@ fn first_place<S: Simd>(s: S, place: S::F) -> S::F {
 
 /// The last pixel that does not lie behind a place, or -1.
 #[inline(always)]
-fn last_place<S: Simd>(s: S, place: S::F, length: u32) -> S::F {
+pub(super) fn last_place<S: Simd>(s: S, place: S::F, length: u32) -> S::F {
     let place = s.max(s.min(place, s.splat(length as f32 - 1.0)), s.splat(-1.0));
     // One more, cut off, one less: cutting off goes towards 0.
     let next = s.to_float(s.to_int(s.add(place, s.splat(1.0))));
     s.sub(next, s.splat(1.0))
 }
 
-impl<M: SceneMemory> Pixels<'_, M> {
+impl<M: SceneMemory, K: Kinds> Pixels<'_, M, K> {
     /// Tests the triangles of a cluster.
     #[inline(always)]
     pub(super) fn test_triangles<S: Simd>(&mut self, s: S, triangles: &Triangles<'_, S>) {
@@ -215,7 +216,13 @@ impl<M: SceneMemory> Pixels<'_, M> {
 
 /// Adds the lanes of the mask to a list.
 #[inline(always)]
-fn pack<S: Simd, const N: usize>(s: S, lanes: Mask, values: S::F, list: &mut [f32; N], count: &mut usize) {
+pub(super) fn pack<S: Simd, const N: usize>(
+    s: S,
+    lanes: Mask,
+    values: S::F,
+    list: &mut [f32; N],
+    count: &mut usize,
+) {
     if let Some(to) = list.get_mut(*count..).and_then(<[f32]>::first_chunk_mut) {
         s.store_packed(lanes, values, to);
     }
@@ -224,14 +231,14 @@ fn pack<S: Simd, const N: usize>(s: S, lanes: Mask, values: S::F, list: &mut [f3
 
 /// Sixteen entries from `first` on.
 #[inline(always)]
-fn chunk<const N: usize>(list: &[f32; N], first: usize) -> &[f32; LANES] {
+pub(super) fn chunk<const N: usize>(list: &[f32; N], first: usize) -> &[f32; LANES] {
     // Lists end before the last sixteen.
     let first = first.min(N - LANES);
     list[first..].first_chunk().unwrap_or(&[0.0; LANES])
 }
 
 /// What a column, and a row, add to the number of a pixel, which is that of its block times sixteen plus its lane.
-const PLACES: [[[f32; LANES]; 2]; 2] = {
+pub(super) const PLACES: [[[f32; LANES]; 2]; 2] = {
     let mut places = [[[0.0; LANES]; 2]; 2];
     let mut at = 0;
     while at < 2 * LANES {

@@ -2,7 +2,10 @@
 
 use glam::Vec3;
 
+use super::far_triangles::FarSeen;
 use super::pixel_tests::Lists;
+use super::projection::Projection;
+use super::spheres::{Mailbox, spheres_of};
 use super::triangles::{Bounds, Corners, Triangles};
 use super::walk::Targets;
 use super::winners::Winners;
@@ -10,24 +13,26 @@ use crate::blocks::{BLOCKS, first_pixel};
 use crate::camera::Camera;
 use crate::cluster::{Cluster, Nearest};
 use crate::grid::ClusterRef;
+use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
 use crate::ray::Primitive;
 use crate::simd::{LANES, Mask, Simd, each};
+use crate::sphere::{SphereCluster, SphereRay};
 use crate::surface::Surface;
 use crate::tile::{Tile, TileView};
-use crate::triangle_woop::WoopRay;
+use crate::triangle_woop::{Crossing, WoopRay};
 use crate::view::{Damaged, SceneView};
 
 /// The pixels of a tile.
-pub(super) struct Pixels<'a, M> {
+pub(super) struct Pixels<'a, M, K> {
     scene: &'a SceneView<M>,
-    camera: &'a Camera,
-    eye: Vec3,
+    pub(super) camera: &'a Camera,
+    pub(super) eye: Vec3,
     pub(super) tile: Tile,
     pub(super) blocks: [Block; BLOCKS],
     /// Pixels that have hit something, pixels that there are.
     pub(super) hit: [Mask; BLOCKS],
-    present: [Mask; BLOCKS],
+    pub(super) present: [Mask; BLOCKS],
     pub(super) winners: Winners,
     /// For each block: what has a smaller inverse depth does not matter.
     pub(super) waiting: [f32; BLOCKS],
@@ -40,6 +45,10 @@ pub(super) struct Pixels<'a, M> {
     pub(super) lists: Lists,
     /// What went wrong when a triangle was looked up again.
     damaged: Option<Damaged>,
+    /// Spheres that every pixel was held against.
+    pub(super) seen: Mailbox<K>,
+    /// The same of triangles that reach far out.
+    pub(super) far_seen: FarSeen,
 }
 
 /// What sixteen pixels have found.
@@ -52,7 +61,7 @@ pub(super) struct Block {
     pub(super) place: [u32; LANES],
 }
 
-impl<'a, M: SceneMemory> Pixels<'a, M> {
+impl<'a, M: SceneMemory, K: Kinds> Pixels<'a, M, K> {
     pub(super) fn new(view: &'a TileView<'_, M>, tile: Tile, depth_epsilon: f32) -> Self {
         let present: [Mask; BLOCKS] = core::array::from_fn(|block| {
             let (x, y) = first_pixel(block);
@@ -74,6 +83,8 @@ impl<'a, M: SceneMemory> Pixels<'a, M> {
             depth_epsilon,
             lists: Lists::new(),
             damaged: None,
+            seen: Mailbox::new(),
+            far_seen: FarSeen::new(),
         }
     }
 
@@ -82,16 +93,65 @@ impl<'a, M: SceneMemory> Pixels<'a, M> {
         self.damaged.map_or(Ok(()), Err)
     }
 
-    /// The corners of the triangles that the pixels of a block show, by corner and axis; zeros where there is none.
+    /// The pixels of a block that show a sphere.
+    #[inline(always)]
+    pub(super) fn showing_spheres(&self, block: usize) -> Mask {
+        match (K::TRIANGLES, K::SPHERES) {
+            (true, true) => {
+                let lanes = self.blocks[block].place.iter().enumerate().fold(0, |lanes, (lane, &place)| {
+                    lanes | Mask::from(spheres_of::<K>(self.winners.get(place).0).is_some()) << lane
+                });
+                lanes & self.hit[block]
+            }
+            (_, true) => self.hit[block],
+            _ => 0,
+        }
+    }
+
+    /// The spheres that pixels of a block show: centres by axis, and radii; zeros in other lanes.
+    ///
+    /// # Errors
+    /// [`Damaged`], as [`corners`](Self::corners).
+    #[inline(always)]
+    pub(super) fn spheres<S: Simd>(&self, s: S, block: usize, lanes: Mask) -> Result<[S::F; 4], Damaged> {
+        let places = &self.blocks[block].place;
+        let names = s.to_int(s.load(&places.map(|place| Corners::of(place).name() as f32)));
+        let mut spheres = [s.splat(0.0); 4];
+        let mut left = lanes;
+        while left != 0 {
+            let place = places[left.trailing_zeros() as usize];
+            let mut same = 0;
+            for (lane, other) in places.iter().enumerate() {
+                same |= Mask::from(other / Corners::COUNT == place / Corners::COUNT) << lane;
+            }
+            let (of, _) = self.winners.get(place);
+            let of = spheres_of::<K>(of).ok_or(Damaged::Cluster { offset: of.offset })?;
+            let record = self.scene.spheres(&of)?;
+            let cluster = SphereCluster::new(&record, &of).ok_or(Damaged::Cluster { offset: of.offset })?;
+            for (lane, from) in spheres.iter_mut().zip(cluster.lanes()) {
+                let halves = each!(2: [0, LANES], half => s.load_le(&from[from.len().min(half)..from.len().min(half + LANES)]));
+                *lane = s.select(same & left, s.pick_of_two(halves, names), *lane);
+            }
+            left &= !same;
+        }
+        Ok(spheres)
+    }
+
+    /// The corners of the triangles that these pixels of a block show, by corner and axis; zeros in other lanes.
     ///
     /// # Errors
     /// [`Damaged`], when a record read before can no longer be read.
     #[inline(always)]
-    pub(super) fn corners<S: Simd>(&self, s: S, block: usize) -> Result<[[S::F; 3]; 3], Damaged> {
+    pub(super) fn corners<S: Simd>(
+        &self,
+        s: S,
+        block: usize,
+        lanes: Mask,
+    ) -> Result<[[S::F; 3]; 3], Damaged> {
         let places = &self.blocks[block].place;
         let names = s.to_int(s.load(&places.map(|place| Corners::of(place).name() as f32)));
         let mut corners = [[s.splat(0.0); 3]; 3];
-        let mut left = self.hit[block];
+        let mut left = lanes;
         while left != 0 {
             // All pixels that show this cluster, while its record is at hand.
             let place = places[left.trailing_zeros() as usize];
@@ -145,36 +205,60 @@ impl<'a, M: SceneMemory> Pixels<'a, M> {
     /// The ray of a pixel.
     #[inline]
     fn ray(&self, block: usize, lane: usize) -> WoopRay {
+        WoopRay::new(self.eye, self.direction(block, lane))
+    }
+
+    /// The direction of a pixel's ray.
+    #[inline]
+    fn direction(&self, block: usize, lane: usize) -> Vec3 {
         let (x, y) = first_pixel(block);
         let (x, y) = (self.tile.x + (x + lane % 4) as u32, self.tile.y + (y + lane / 4) as u32);
-        WoopRay::new(self.eye, self.camera.direction(self.camera.row(y), x))
+        self.camera.direction(self.camera.row(y), x)
+    }
+
+    /// Where a pixel's ray meets a surface.
+    #[inline]
+    fn crossing(&self, (block, lane): (usize, usize), surface: &Surface) -> Option<Crossing> {
+        match surface {
+            Surface::Triangle(corners) if K::TRIANGLES => {
+                self.ray(block, lane).intersect(*corners, f32::INFINITY)
+            }
+            Surface::Sphere(sphere) if K::SPHERES => {
+                SphereRay::new(self.eye, self.direction(block, lane)).intersect(sphere, f32::INFINITY)
+            }
+            _ => None,
+        }
     }
 
     /// Lets the pixel's ray decide whether it hits a triangle of the cluster under test, and which of two is nearer.
     #[inline(never)]
     pub(super) fn decide(&mut self, (block, lane): (usize, usize), cluster: &Cluster<'_>, named: Corners) {
+        self.decide_between((block, lane), Surface::Triangle(named.points(cluster)), named);
+    }
+
+    /// The same for a triangle or sphere.
+    #[inline(never)]
+    pub(super) fn decide_between(&mut self, (block, lane): (usize, usize), surface: Surface, named: Corners) {
         let shown = match self.shown(block, lane) {
             Ok(shown) => shown,
             Err(damaged) => return self.damaged = Some(damaged),
         };
-        // Often it is another copy of the triangle that the pixel shows.
-        let corners = named.points(cluster);
-        if shown.is_some_and(|shown| shown == corners) {
+        // Often it is another copy of what the pixel shows.
+        if shown.is_some_and(|shown| shown == surface) {
             return;
         }
-        let ray = self.ray(block, lane);
-        let Some(crossing) = ray.intersect(corners, f32::INFINITY) else { return };
+        let Some(crossing) = self.crossing((block, lane), &surface) else { return };
         if let Some(shown) = shown {
             let mut nearest = Nearest::none(f32::INFINITY);
-            // Triangles with the same corners are the same to a pixel, so their numbers do not matter.
-            if let Some(crossing) = ray.intersect(shown, f32::INFINITY) {
+            // What has the same shape is the same to a pixel, so numbers do not matter.
+            if let Some(crossing) = self.crossing((block, lane), &shown) {
                 nearest.offer(crossing, Primitive(0), shown);
             }
             if crossing.t > nearest.crossing.t {
                 return;
             }
-            nearest.offer(crossing, Primitive(0), corners);
-            if nearest.surface.is_none_or(|(_, surface)| surface != Surface::Triangle(corners)) {
+            nearest.offer(crossing, Primitive(0), surface);
+            if nearest.surface.is_none_or(|(_, nearest)| nearest != surface) {
                 return;
             }
         }
@@ -183,15 +267,21 @@ impl<'a, M: SceneMemory> Pixels<'a, M> {
         self.take((block, lane), named, inverse_depth - margin, inverse_depth + margin);
     }
 
-    /// The triangle that a pixel shows.
-    fn shown(&self, block: usize, lane: usize) -> Result<Option<[Vec3; 3]>, Damaged> {
+    /// What a pixel shows.
+    fn shown(&self, block: usize, lane: usize) -> Result<Option<Surface>, Damaged> {
         if self.hit[block] >> lane & 1 == 0 {
             return Ok(None);
         }
         let (place, corners) = self.winners.get(self.blocks[block].place[lane]);
+        let damaged = Damaged::Cluster { offset: place.offset };
+        if let Some(place) = spheres_of::<K>(place) {
+            let record = self.scene.spheres(&place)?;
+            let cluster = SphereCluster::new(&record, &place).ok_or(damaged)?;
+            return Ok(Some(Surface::Sphere(cluster.sphere(corners.name() as usize))));
+        }
         let record = self.scene.cluster(place)?;
-        let cluster = Cluster::new(&record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
-        Ok(Some(corners.points(&cluster)))
+        let cluster = Cluster::new(&record, place).ok_or(damaged)?;
+        Ok(Some(Surface::Triangle(corners.points(&cluster))))
     }
 
     /// Has a pixel show a triangle of the cluster under test.
@@ -216,7 +306,7 @@ impl<'a, M: SceneMemory> Pixels<'a, M> {
     }
 }
 
-impl<S: Simd, M: SceneMemory> Targets<S> for Pixels<'_, M> {
+impl<S: Simd, M: SceneMemory, K: Kinds> Targets<S> for Pixels<'_, M, K> {
     #[inline(always)]
     fn least(&mut self, s: S) -> f32 {
         if self.stale != 0 {
@@ -263,21 +353,13 @@ impl<S: Simd, M: SceneMemory> Targets<S> for Pixels<'_, M> {
         self.test_triangles(s, triangles);
     }
 
-    fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>) {
-        self.begin(cluster.place());
-        for block in 0..BLOCKS {
-            for lane in 0..LANES {
-                if self.present[block] >> lane & 1 == 0 {
-                    continue;
-                }
-                let mut nearest = Nearest::none(f32::INFINITY);
-                cluster.intersect::<S, false>(s, &self.ray(block, lane), &mut nearest);
-                if let Some((primitive, _)) = nearest.surface {
-                    let index = primitive.0.wrapping_sub(cluster.place().first);
-                    self.decide((block, lane), cluster, Corners::of_triangle(cluster, index as usize));
-                }
-            }
-        }
+    #[inline(always)]
+    fn test_spheres(&mut self, s: S, projection: &Projection, cluster: &SphereCluster<'_>) {
+        self.test_cluster_of_spheres(s, projection, cluster);
+    }
+
+    fn test_far(&mut self, s: S, cluster: &Cluster<'_>) {
+        self.test_far_triangles(s, cluster);
     }
 }
 

@@ -38,6 +38,14 @@ impl Points {
         Vec3::new(self.x[index], self.y[index], self.z[index])
     }
 
+    /// Points by number.
+    #[inline(always)]
+    pub(super) fn numbered<S: Simd>(&self, s: S, numbers: S::I) -> [S::F; 3] {
+        each!(3: [&self.x, &self.y, &self.z], from => {
+            s.gather(from.first_chunk::<POINTS_MAX>().unwrap_or(&[0.0; POINTS_MAX]), numbers)
+        })
+    }
+
     /// Sixteen points from `first` on; those beyond the count repeat it.
     #[inline(always)]
     pub(super) fn load<S: Simd>(&self, s: S, first: usize) -> [S::F; 3] {

@@ -31,6 +31,8 @@ use crate::tile::Tile;
 pub(super) struct Projection {
     pub(super) eye: Vec3,
     pub(super) rows: [Vec3; 3],
+    /// Lengths of the rows, or a little more.
+    pub(super) lengths: [f32; 3],
     /// What is looked at lies between 0 and this.
     pub(super) end: [f32; 2],
     /// Uncertainty of coordinates within ±[`NEAR`].
@@ -97,8 +99,18 @@ impl Projection {
             let slant = slant + reach * unit * 1.5;
             EPSILON * slant * (28.0 * long + 16.0 * reach)
         };
+        let lengths = rows.map(|row| row.as_dvec3().length() as f32 * (1.0 + 1.0 / 1_048_576.0));
         let depth_epsilon = EPSILON * (18.0 * (slant + NEAR * unit * 1.5) + 14.0);
-        Some(Self { eye, rows, end, delta: delta(NEAR), delta_wide: delta(wide), wide, depth_epsilon })
+        Some(Self {
+            eye,
+            rows,
+            lengths,
+            end,
+            delta: delta(NEAR),
+            delta_wide: delta(wide),
+            wide,
+            depth_epsilon,
+        })
     }
 
     /// Projects sixteen points.

@@ -6,27 +6,32 @@
 //! tested, sixteen at a time. Most are of a lit sample and a triangle of the surface it lies on, and decide nothing.
 
 use super::edges::Extent;
+use super::projection::Projection;
 use super::samples::{GROUPS, Places, Samples};
+use super::sphere_samples::SphereRoom;
 use super::triangles::{Bounds, Corners, Triangles};
 use super::walk::Targets;
 use crate::cluster::Cluster;
 use crate::grid::TRIANGLES_MAX;
 use crate::simd::{LANES, Mask, Simd, first_lanes};
+use crate::sphere::SphereCluster;
 
 /// The shadow samples of a tile, each looking for any triangle between it and the light.
 pub(super) struct Shadows<'a> {
     pub(super) samples: Samples<'a>,
     room: Room,
+    /// For scenes with spheres.
+    spheres: Option<SphereRoom>,
 }
 
 /// Where samples must lie that a triangle can shadow: within its bounds, with some margin, and behind it.
 #[derive(Clone, Copy)]
 pub(super) struct Around<F> {
-    left: F,
-    right: F,
-    top: F,
-    bottom: F,
-    near: F,
+    pub(super) left: F,
+    pub(super) right: F,
+    pub(super) top: F,
+    pub(super) bottom: F,
+    pub(super) near: F,
 }
 
 /// [`Around`] each triangle of a cluster, by batches, and the triangles' names.
@@ -58,13 +63,13 @@ const BATCHES: usize = TRIANGLES_MAX as usize / LANES;
 const CAPACITY: usize = 272;
 
 impl<'a> Shadows<'a> {
-    pub(super) const fn new(samples: Samples<'a>) -> Self {
+    pub(super) const fn new(samples: Samples<'a>, spheres: Option<SphereRoom>) -> Self {
         const NONE: [f32; LANES] = [0.0; LANES];
         const MANY: [f32; CAPACITY] = [0.0; CAPACITY];
         let around = Around { left: NONE, right: NONE, top: NONE, bottom: NONE, near: NONE };
         let all = AroundAll { around: [around; BATCHES], names: [NONE; BATCHES] };
         let pairs = Pairs { names: MANY, samples: MANY, count: 0 };
-        Self { samples, room: Room { all, reaching: [[0; BATCHES]; GROUPS], pairs } }
+        Self { samples, room: Room { all, reaching: [[0; BATCHES]; GROUPS], pairs }, spheres }
     }
 }
 
@@ -96,8 +101,15 @@ impl<S: Simd> Targets<S> for Shadows<'_> {
         self.room.pairs.test(s, &mut self.samples, triangles);
     }
 
-    fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>) {
-        self.samples.test_by_rays(s, cluster);
+    fn test_far(&mut self, s: S, cluster: &Cluster<'_>) {
+        self.samples.test_far_triangles(s, cluster);
+    }
+
+    #[inline(always)]
+    fn test_spheres(&mut self, s: S, projection: &Projection, cluster: &SphereCluster<'_>) {
+        if let Some(room) = &mut self.spheres {
+            room.test(s, &mut self.samples, projection, cluster);
+        }
     }
 }
 
@@ -111,7 +123,7 @@ impl Shadows<'_> {
         batches: usize,
         around: &Around<S::F>,
     ) -> bool {
-        let Self { samples, room: Room { all, reaching, .. } } = self;
+        let Self { samples, room: Room { all, reaching, .. }, .. } = self;
         let (mut by_triangle, mut by_sample) = (0, 0);
         for group in bits(groups) {
             let corners = samples.corners_of_group(s, group);
@@ -128,7 +140,7 @@ impl Shadows<'_> {
     /// Pairs each triangle with the samples of the groups that it reaches over.
     #[inline(always)]
     fn pair_by_triangle<S: Simd>(&mut self, s: S, groups: u64, batches: usize, triangles: &Triangles<'_, S>) {
-        let Self { samples, room: Room { all, reaching, pairs } } = self;
+        let Self { samples, room: Room { all, reaching, pairs }, .. } = self;
         for group in bits(groups) {
             for (batch, reaching) in reaching[group].into_iter().enumerate().take(batches) {
                 for lane in bits(reaching.into()) {
@@ -149,7 +161,7 @@ impl Shadows<'_> {
         (batches, around): (usize, &Around<S::F>),
         triangles: &Triangles<'_, S>,
     ) {
-        let Self { samples, room: Room { all, pairs, .. } } = self;
+        let Self { samples, room: Room { all, pairs, .. }, .. } = self;
         for group in bits(groups) {
             let places = samples.group(s, group);
             for lane in bits(around.reaches(s, &[places; 2]).into()) {
@@ -316,7 +328,7 @@ impl Pairs {
 
 /// The places of the bits that are set.
 #[inline(always)]
-fn bits(mut mask: u64) -> impl Iterator<Item = usize> {
+pub(super) fn bits(mut mask: u64) -> impl Iterator<Item = usize> {
     core::iter::from_fn(move || {
         let at = mask.trailing_zeros() as usize;
         let is_left = mask != 0;

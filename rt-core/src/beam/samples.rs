@@ -2,24 +2,25 @@
 
 use glam::Vec3;
 
+use super::far_triangles::FarSeen;
 use super::points::{POINTS_MAX, Points, chunk};
 use super::projection::{Projected, Projection};
 use super::sample_tests::Around;
 use super::triangles::Bounds;
-use crate::cluster::{Cluster, Nearest};
 use crate::simd::{LANES, Mask, Simd, each, first_lanes};
+use crate::sphere::{Sphere, SphereRay};
 use crate::triangle_woop::WoopRay;
 
 /// The samples, in *groups* of sixteen that follow each other in the picture, where light sees them close together too.
 pub(super) struct Samples<'a> {
     points: &'a Points,
-    light: Vec3,
+    pub(super) light: Vec3,
     /// Places on the plane and inverse depths, by group; infinite once a sample is shadowed, and beyond the end.
     x: [[f32; LANES]; GROUPS],
     y: [[f32; LANES]; GROUPS],
     w: [[f32; LANES]; GROUPS],
     /// Samples of each group that are open.
-    open: [Mask; GROUPS],
+    pub(super) open: [Mask; GROUPS],
     /// The boxes of the groups, and the least inverse depth of an open sample.
     left: [f32; GROUPS],
     right: [f32; GROUPS],
@@ -31,6 +32,8 @@ pub(super) struct Samples<'a> {
     least: f32,
     /// Whether it is out of date.
     is_stale: bool,
+    /// Triangles that reach far out, and that every sample was held against.
+    pub(super) far_seen: FarSeen,
 }
 
 /// Groups of samples.
@@ -54,6 +57,7 @@ impl<'a> Samples<'a> {
             shadowed: [false; POINTS_MAX],
             least: 0.0,
             is_stale: true,
+            far_seen: FarSeen::new(),
         };
         samples.place(s, projection);
         samples
@@ -96,15 +100,40 @@ impl<'a> Samples<'a> {
 
     /// The ray of a sample to the light.
     #[inline]
-    fn ray(&self, (group, lane): (usize, usize)) -> WoopRay {
-        let point = self.points.get(group * LANES + lane);
+    fn ray(&self, sample: (usize, usize)) -> WoopRay {
+        let point = self.point(sample);
         WoopRay::new(point, self.light - point)
+    }
+
+    /// The point that a sample is.
+    #[inline(always)]
+    pub(super) fn point(&self, (group, lane): (usize, usize)) -> Vec3 {
+        self.points.get(group * LANES + lane)
     }
 
     /// Whether, by the sample's ray, a triangle shadows it.
     #[inline(never)]
     pub(super) fn is_shadowed(&self, sample: (usize, usize), corners: [Vec3; 3]) -> bool {
         self.ray(sample).intersect(corners, 1.0).is_some()
+    }
+
+    /// Whether, by the sample's ray, a sphere shadows it.
+    #[inline(never)]
+    pub(super) fn is_shadowed_by(&self, sample: (usize, usize), sphere: &Sphere) -> bool {
+        let point = self.point(sample);
+        SphereRay::new(point, self.light - point).intersect(sphere, 1.0).is_some()
+    }
+
+    /// The points that the samples of a group are.
+    #[inline(always)]
+    pub(super) fn points_of_group<S: Simd>(&self, s: S, group: usize) -> [S::F; 3] {
+        self.points.load(s, group * LANES)
+    }
+
+    /// The points that samples are, by number.
+    #[inline(always)]
+    pub(super) fn points_numbered<S: Simd>(&self, s: S, numbers: S::I) -> [S::F; 3] {
+        self.points.numbered(s, numbers)
     }
 
     /// The samples of a group.
@@ -194,21 +223,5 @@ impl Samples<'_> {
             }
         }
         false
-    }
-
-    /// Tests a cluster ray by ray.
-    pub(super) fn test_by_rays<S: Simd>(&mut self, s: S, cluster: &Cluster<'_>) {
-        for group in 0..GROUPS {
-            let mut open = self.open[group];
-            while open != 0 {
-                let lane = open.trailing_zeros() as usize;
-                open &= open - 1;
-                let mut nearest = Nearest::none(1.0);
-                cluster.intersect::<S, true>(s, &self.ray((group, lane)), &mut nearest);
-                if nearest.surface.is_some() {
-                    self.close(s, (group, lane));
-                }
-            }
-        }
     }
 }

@@ -6,8 +6,10 @@
 use glam::Vec3;
 
 use super::pixels::Pixels;
+use super::sphere_surface::sphere_surface;
 use crate::blocks::first_pixel;
 use crate::camera::Camera;
+use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
 use crate::shade::{ALBEDO, AMBIENT, DIFFUSE};
 use crate::simd::{LANES, Mask, Simd, each};
@@ -46,18 +48,29 @@ type Corners<F> = [[F; 3]; 3];
 /// # Errors
 /// [`Damaged`], as [`Pixels::corners`].
 #[inline(always)]
-pub(super) fn surface<S: Simd, M: SceneMemory>(
+pub(super) fn surface<S: Simd, M: SceneMemory, K: Kinds>(
     s: S,
-    pixels: &Pixels<'_, M>,
+    pixels: &Pixels<'_, M, K>,
     block: usize,
     camera: &Camera,
     tile: Tile,
     lighting: &Lighting,
 ) -> Result<Surface<S::F>, Damaged> {
-    let corners = pixels.corners(s, block)?;
     let direction = directions(s, camera, tile, block);
-    let t = depth(s, lighting.eye, direction, &corners, pixels.hit[block]);
-    let normal = normal(s, &corners, direction);
+    let spheres = pixels.showing_spheres(block);
+    let triangles = pixels.hit[block] & !spheres;
+    let (mut t, mut normal) = (s.splat(0.0), [s.splat(0.0); 3]);
+    if K::TRIANGLES && (!K::SPHERES || triangles != 0) {
+        let corners = pixels.corners(s, block, triangles)?;
+        t = depth(s, lighting.eye, direction, &corners, triangles);
+        normal = normal_of(s, &corners, direction);
+    }
+    if K::SPHERES && (!K::TRIANGLES || spheres != 0) {
+        let found = pixels.spheres(s, block, spheres)?;
+        let (t_sphere, normal_sphere) = sphere_surface(s, lighting.eye, direction, found);
+        t = s.select(spheres, t_sphere, t);
+        normal = each!(3: [0, 1, 2], axis => s.select(spheres, normal_sphere[axis], normal[axis]));
+    }
     Ok(shade(s, t, normal, direction, lighting))
 }
 
@@ -70,8 +83,14 @@ fn directions<S: Simd>(s: S, camera: &Camera, tile: Tile, block: usize) -> [S::F
         column[lane] = (tile.x as usize + x + lane % 4) as f32;
         row[lane] = (tile.y as usize + y + lane / 4) as f32;
     }
-    let x = s.add(s.splat(camera.x_first), s.mul(s.load(&column), s.splat(camera.x_step)));
-    let y = s.add(s.splat(camera.y_first), s.mul(s.load(&row), s.splat(camera.y_step)));
+    directions_at(s, camera, s.load(&column), s.load(&row))
+}
+
+/// The same for pixels of these columns and rows of the picture.
+#[inline(always)]
+pub(super) fn directions_at<S: Simd>(s: S, camera: &Camera, column: S::F, row: S::F) -> [S::F; 3] {
+    let x = s.add(s.splat(camera.x_first), s.mul(column, s.splat(camera.x_step)));
+    let y = s.add(s.splat(camera.y_first), s.mul(row, s.splat(camera.y_step)));
     each!(3: [0, 1, 2], axis => {
         let row = s.add(s.splat(camera.forward[axis]), s.mul(s.splat(camera.up[axis]), y));
         s.add(row, s.mul(s.splat(camera.right[axis]), x))
@@ -127,7 +146,7 @@ fn depth_along<S: Simd>(
 
 /// [`crate::shade::normal`] of sixteen triangles.
 #[inline(always)]
-fn normal<S: Simd>(s: S, [a, b, c]: &Corners<S::F>, direction: [S::F; 3]) -> [S::F; 3] {
+fn normal_of<S: Simd>(s: S, [a, b, c]: &Corners<S::F>, direction: [S::F; 3]) -> [S::F; 3] {
     let b = each!(3: [0, 1, 2], axis => s.sub_f64(s.widen(b[axis]), s.widen(a[axis])));
     let c = each!(3: [0, 1, 2], axis => s.sub_f64(s.widen(c[axis]), s.widen(a[axis])));
     let across = [minor(s, b, c, 1, 2), minor(s, b, c, 2, 0), minor(s, b, c, 0, 1)];
@@ -149,7 +168,7 @@ fn minor<S: Simd>(s: S, b: [S::D; 3], c: [S::D; 3], i: usize, j: usize) -> S::D 
 }
 
 #[inline(always)]
-fn unit<S: Simd>(s: S, [x, y, z]: [S::D; 3]) -> [S::F; 3] {
+pub(super) fn unit<S: Simd>(s: S, [x, y, z]: [S::D; 3]) -> [S::F; 3] {
     let square = s.add_f64(s.add_f64(s.mul_f64(x, x), s.mul_f64(y, y)), s.mul_f64(z, z));
     let per_length = s.div_f64(s.widen(s.splat(1.0)), s.sqrt_f64(square));
     each!(3: [x, y, z], component => s.narrow(s.mul_f64(component, per_length)))

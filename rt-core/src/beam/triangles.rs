@@ -130,6 +130,13 @@ impl Projection {
 }
 
 impl<S: Simd> Triangles<'_, S> {
+    /// Whether they are few and reach far out.
+    #[inline(always)]
+    pub(super) fn are_large(&self) -> bool {
+        let Bounds { left, right, top, bottom, .. } = self.bounds;
+        self.count() <= LARGE_MAX && (left.min(top) < -NEAR || right.max(bottom) > NEAR)
+    }
+
     /// Triangles `first..first + 16`.
     #[inline(always)]
     pub(super) fn batch(&self, s: S, first: usize) -> Batch<S::F> {
@@ -165,6 +172,9 @@ impl<S: Simd> Triangles<'_, S> {
         }
     }
 }
+
+/// Most triangles of a cluster that are worth a test of their own each.
+const LARGE_MAX: usize = 4;
 
 /// Largest inverse depth, in grid units: nearer to the eye than 2^-20 of the scene rays take over.
 const W_MAX: f32 = 1_048_576.0;

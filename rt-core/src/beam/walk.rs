@@ -1,16 +1,23 @@
 //! The walk of a beam through the grid, front to back.
 
+use core::marker::PhantomData;
+
 use glam::Vec3;
 
 use super::frustum::Frustum;
 use super::projection::Projection;
 use super::queue::{Queue, Waiting};
+use super::spheres::{name_of, spheres_of};
 use super::triangles::{Bounds, Triangles};
 use crate::cluster::{CLUSTER_BYTES_MAX, Cluster};
 use crate::count::Count;
-use crate::grid::{BoxFrame, Branch, ClusterRef, LEVELS_MAX, LeafContent, cell_coordinates, flip_cells};
+use crate::grid::{
+    BoxFrame, Branch, ClusterRef, LEVELS_MAX, LeafContent, SpheresRef, cell_coordinates, flip_cells,
+};
+use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
 use crate::simd::{LANES, Part, Simd, each, first_lanes};
+use crate::sphere::SphereCluster;
 use crate::view::{Damaged, SceneView};
 use crate::walk::Budget;
 
@@ -25,8 +32,11 @@ pub(super) trait Targets<S: Simd> {
     /// Tests the triangles of a cluster.
     fn test(&mut self, s: S, triangles: &Triangles<'_, S>);
 
-    /// Tests a cluster that cannot be projected.
-    fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>);
+    /// Tests a cluster that cannot be projected, or has a few large triangles.
+    fn test_far(&mut self, s: S, cluster: &Cluster<'_>);
+
+    /// Tests the spheres of a cluster.
+    fn test_spheres(&mut self, s: S, projection: &Projection, cluster: &SphereCluster<'_>);
 }
 
 /// A beam: where it looks from and what it may enter.
@@ -35,12 +45,12 @@ pub(super) struct Beam<'a> {
     pub(super) frustum: &'a Frustum,
 }
 
-/// Leads every triangle that the beam may meet to its targets.
+/// Leads every triangle and sphere that the beam may meet to its targets.
 ///
 /// # Errors
 /// [`Damaged`], as [`walk`](crate::walk::walk).
 #[inline(always)]
-pub(super) fn walk<S: Simd, M: SceneMemory, C: Count, T: Targets<S>>(
+pub(super) fn walk<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>>(
     s: S,
     scene: &SceneView<M>,
     beam: &Beam<'_>,
@@ -56,7 +66,8 @@ pub(super) fn walk<S: Simd, M: SceneMemory, C: Count, T: Targets<S>>(
         corner: Vec3::ZERO,
         frame,
     };
-    let mut walk = Walk { s, scene, beam, targets, count, budget, leaves, queue: Queue::new(s) };
+    let (queue, kinds) = (Queue::new(s), PhantomData);
+    let mut walk = Walk::<S, M, C, K, T> { s, scene, beam, targets, count, budget, leaves, queue, kinds };
     walk.run()?;
     while let Some(next) = walk.queue.take_nearest(s) {
         walk.visit(&next)?;
@@ -65,7 +76,7 @@ pub(super) fn walk<S: Simd, M: SceneMemory, C: Count, T: Targets<S>>(
 }
 
 /// A walk under way.
-struct Walk<'a, S: Simd, M, C, T> {
+struct Walk<'a, S: Simd, M, C, K, T> {
     s: S,
     scene: &'a SceneView<M>,
     beam: &'a Beam<'a>,
@@ -74,6 +85,7 @@ struct Walk<'a, S: Simd, M, C, T> {
     budget: Budget,
     leaves: Leaves,
     queue: Queue<S::F>,
+    kinds: PhantomData<K>,
 }
 
 /// The clusters of up to sixteen leaves of one branch.
@@ -97,7 +109,7 @@ struct Visit {
     left: u64,
 }
 
-impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
+impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, C, K, T> {
     #[inline(always)]
     fn run(&mut self) -> Result<(), Damaged> {
         let grid = self.scene.header().grid;
@@ -174,13 +186,9 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
             let leaf = self.scene.leaf(index)?;
             self.count.leaf();
             match leaf.content().ok_or(Damaged::Leaf(index))? {
-                LeafContent::Cluster(place) => {
-                    if self.leaves.count == LANES {
-                        self.sift()?;
-                    }
-                    self.leaves.push(place, leaf.bounds);
-                }
-                LeafContent::Spheres(_) => return Err(Damaged::Leaf(index)),
+                LeafContent::Cluster(place) if K::TRIANGLES => self.collect(place, leaf.bounds)?,
+                LeafContent::Spheres(place) if K::SPHERES => self.collect(name_of(&place), leaf.bounds)?,
+                LeafContent::Cluster(_) | LeafContent::Spheres(_) => return Err(Damaged::Leaf(index)),
                 LeafContent::List { .. } if in_list => return Err(Damaged::Leaf(index)),
                 LeafContent::List { first, count } => {
                     (next, end, in_list) =
@@ -188,6 +196,16 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
                 }
             }
         }
+        Ok(())
+    }
+
+    /// Adds a leaf to those that are culled next.
+    #[inline(always)]
+    fn collect(&mut self, place: ClusterRef, bounds: [u8; 6]) -> Result<(), Damaged> {
+        if self.leaves.count == LANES {
+            self.sift()?;
+        }
+        self.leaves.push(place, bounds);
         Ok(())
     }
 
@@ -219,7 +237,10 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
         {
             self.visit(&nearest)?;
         }
-        self.scene.prefetch_cluster(&next.place);
+        match spheres_of::<K>(&next.place) {
+            Some(place) => self.scene.prefetch_spheres(&place),
+            None => self.scene.prefetch_cluster(&next.place),
+        }
         self.queue.push(self.s, next);
         Ok(())
     }
@@ -230,16 +251,16 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
         if !self.targets.wants(self.s, bounds) {
             return Ok(());
         }
+        if let Some(place) = spheres_of::<K>(place) {
+            return self.visit_spheres(&place);
+        }
         let record = self.scene.cluster(place)?;
         if M::HOLDS_NOTHING {
             return self.test(&record, place);
         }
-        // A pixel in doubt looks up the triangle that it shows, and no two records may be held at a time.
-        let mut copy = [0; CLUSTER_BYTES_MAX];
-        let copy = copy.get_mut(..record.len()).ok_or(Damaged::Cluster { offset: place.offset })?;
-        copy.copy_from_slice(&record);
+        let copy = Copied::of(&record).ok_or(Damaged::Cluster { offset: place.offset })?;
         drop(record);
-        self.test(copy, place)
+        self.test(copy.bytes(), place)
     }
 
     #[inline(always)]
@@ -249,6 +270,65 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
         self.count.triangles(place.triangles.into());
         self.s.apart(Test { targets: self.targets, projection: self.beam.projection, cluster: &cluster });
         Ok(())
+    }
+}
+
+impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, C, K, T> {
+    /// The same for a cluster of spheres.
+    #[inline(always)]
+    fn visit_spheres(&mut self, place: &SpheresRef) -> Result<(), Damaged> {
+        let record = self.scene.spheres(place)?;
+        if M::HOLDS_NOTHING {
+            return self.test_spheres(&record, place);
+        }
+        let copy = Copied::of(&record).ok_or(Damaged::Cluster { offset: place.offset })?;
+        drop(record);
+        self.test_spheres(copy.bytes(), place)
+    }
+
+    #[inline(always)]
+    fn test_spheres(&mut self, record: &[u8], place: &SpheresRef) -> Result<(), Damaged> {
+        let cluster = SphereCluster::new(record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
+        self.count.cluster();
+        self.count.spheres(place.count.into());
+        let projection = self.beam.projection;
+        self.s.apart(TestSpheres { targets: self.targets, projection, cluster: &cluster });
+        Ok(())
+    }
+}
+
+/// A copy of a cluster's record: a pixel in doubt looks up what it shows, and no two records may be held at a time.
+struct Copied {
+    bytes: [u8; CLUSTER_BYTES_MAX],
+    length: usize,
+}
+
+impl Copied {
+    /// A copy, or `None` of a record longer than any cluster's.
+    fn of(record: &[u8]) -> Option<Self> {
+        let mut copied = Self { bytes: [0; CLUSTER_BYTES_MAX], length: record.len() };
+        copied.bytes.get_mut(..record.len())?.copy_from_slice(record);
+        Some(copied)
+    }
+
+    fn bytes(&self) -> &[u8] {
+        &self.bytes[..self.length]
+    }
+}
+
+/// The test of a cluster of spheres.
+struct TestSpheres<'a, T> {
+    targets: &'a mut T,
+    projection: &'a Projection,
+    cluster: &'a SphereCluster<'a>,
+}
+
+impl<S: Simd, T: Targets<S>> Part<S> for TestSpheres<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self, s: S) {
+        self.targets.test_spheres(s, self.projection, self.cluster);
     }
 }
 
@@ -266,8 +346,8 @@ impl<S: Simd, T: Targets<S>> Part<S> for Test<'_, T> {
     fn run(self, s: S) {
         let Self { targets, projection, cluster } = self;
         match projection.triangles(s, cluster) {
-            Some(triangles) => targets.test(s, &triangles),
-            None => targets.test_by_rays(s, cluster),
+            Some(triangles) if !triangles.are_large() => targets.test(s, &triangles),
+            _ => targets.test_far(s, cluster),
         }
     }
 }

@@ -3,6 +3,7 @@
 
 pub mod allocations;
 pub mod exact;
+pub mod models;
 pub mod pass;
 pub mod reference;
 pub mod shapes;
