@@ -19,13 +19,14 @@ fmt() {
     cargo fmt --all --check
     cargo fmt --manifest-path tests/freestanding/Cargo.toml --check
     cargo fmt --manifest-path fuzz/Cargo.toml --check
+    cargo fmt --manifest-path bench/left-out/Cargo.toml --check
 }
 
 lint() {
     cargo clippy --workspace --all-targets --locked -- -D warnings
     cargo clippy --manifest-path fuzz/Cargo.toml --locked -- -D warnings
     local features
-    for features in triangles spheres spheres,lanes-avx2,lanes-avx512; do
+    for features in triangles spheres triangles,shadows,lanes-avx512 spheres,shadows,lanes-avx2,lanes-avx512; do
         cargo clippy -p rt-core --lib --no-default-features --features "$features" --locked -- -D warnings
     done
 }
@@ -59,7 +60,7 @@ loom() {
 
 # Puts faults into the protocol, one at a time, and prints which engine notices which. Half a minute.
 mutants() {
-    RUSTFLAGS="--cfg mutants" cargo test -p dsm-core --test mutants --release --locked --target-dir target/mutants -- --nocapture
+    RUSTFLAGS="--cfg mutants" cargo test -p dsm-core --test mutants -p dsm-sim --test scenarios --release --locked --target-dir target/mutants -- --nocapture
 }
 
 fuzz() {

@@ -3,7 +3,7 @@
 use anyhow::Result;
 
 use crate::findings::Findings;
-use crate::{embree, paging_core, scaling, table1};
+use crate::{embree, left_out, paging_core, replacement, scaling, sim, table1};
 
 /// An experiment: its name on the command line, what it shows, how it is run.
 #[derive(Debug)]
@@ -25,8 +25,15 @@ pub(crate) enum Effort {
 }
 
 /// All experiments, in the order in which `all` runs them.
-pub(crate) const ALL: &[Experiment] =
-    &[table1::EXPERIMENT, paging_core::EXPERIMENT, scaling::EXPERIMENT, embree::EXPERIMENT];
+pub(crate) const ALL: &[Experiment] = &[
+    table1::EXPERIMENT,
+    paging_core::EXPERIMENT,
+    sim::EXPERIMENT,
+    scaling::EXPERIMENT,
+    replacement::EXPERIMENT,
+    embree::EXPERIMENT,
+    left_out::EXPERIMENT,
+];
 
 impl Effort {
     pub(crate) fn is_quick(self) -> bool {

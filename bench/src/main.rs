@@ -9,7 +9,10 @@
 //! | [`table1`] | hits and misses, as in the paper's Table 1 |
 //! | [`scaling`] | frame rate over nodes and memory |
 //! | [`paging_core`] | what one fault costs the state machine alone |
+//! | [`replacement`] | misses of the replacement policies, and what prefetch spares |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
+//! | [`left_out`] | what a scene does not need |
+//! | [`sim`] | the simulator: events a second |
 //! | [`findings`], [`table`], [`plot`], [`spread`] | what an experiment gives back, and how it is shown |
 //! | [`quiet`] | telling quiet rounds from those in which other programs wanted the machine |
 //! | [`distance`] | how far apart the cores are at the moment |
@@ -26,13 +29,16 @@ mod distance;
 mod embree;
 mod experiment;
 mod findings;
+mod left_out;
 mod machine;
 mod memory;
 mod owner;
 mod paging_core;
 mod plot;
 mod quiet;
+mod replacement;
 mod scaling;
+mod sim;
 mod space;
 mod spread;
 mod table;

@@ -178,7 +178,7 @@ fn gather(node: &mut Node<'_>) -> Work {
                 debug_assert!(pushed.is_ok(), "a batch is bounded");
             }
             Output::Map { page, .. } => work.arrived = Some(page),
-            Output::Store { .. } | Output::WakePage { .. } | Output::WakeSlots => {}
+            Output::Store { .. } | Output::Hide { .. } | Output::WakePage { .. } | Output::WakeSlots => {}
         }
     }
 }

@@ -7,7 +7,7 @@ use dsm_core::home::Home;
 use dsm_core::id::{ClusterId, Epoch, NodeId};
 use dsm_core::node::Config;
 use dsm_core::placement::Stripes;
-use dsm_core::replacement::PolicyKind;
+use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use dsm_core::time::Instant;
 use dsm_core::transport::{Received, SendError, Transport};
 use fault_linux::{BackendKind, Region, Setup};
@@ -51,7 +51,17 @@ impl Space {
         let node =
             Config { cluster: CLUSTER, epoch: EPOCH, ..Config::new(READER, self.placement()?, PAGE_BYTES) };
         let policy = PolicyKind::Random;
-        let setup = Setup { node, policy, seed, slot_count: slots, home: None, backend: Some(backend) };
+        let setup = Setup {
+            node,
+            policy,
+            reference: ReferenceSource::Nothing,
+            hidden_per_cent: 0,
+            prefetch: false,
+            seed,
+            slot_count: slots,
+            home: None,
+            backend: Some(backend),
+        };
         // SAFETY: there is no home file, and every port of this program leads to an owner that has filled and frozen
         // its pages, with the same words for the same space, before it says that it is ready.
         let region = unsafe { Region::new(setup) };

@@ -1,4 +1,4 @@
-//! `memsavvy render`, `prepare`, `info`: flags, help, errors.
+//! `memsavvy render`, `prepare`, `info`, `trace`: flags, help, errors.
 
 use core::num::NonZeroU16;
 use core::time::Duration;
@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use anyhow::{Context, Result, bail};
 use clap::builder::styling::{AnsiColor, Styles};
 use clap::{Args, Parser, Subcommand};
-use dsm_core::replacement::PolicyKind;
+use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use fault_linux::BackendKind;
 use rt_core::Kernel;
 use rt_core::image::{PAGE_BYTES_MAX, PAGE_BYTES_MIN};
@@ -21,9 +21,10 @@ use crate::control::{BindTo, TransportKind};
 use crate::output::{Destination, check_folder_of, write_whole};
 use crate::progress::StageBar;
 use crate::report::{RunReport, counted, thousands};
-use crate::run::{Kill, Options, Source, run};
+use crate::run::{HIDDEN_PER_CENT, Kill, Options, Source, run};
 use crate::scene_source::PAGE_BYTES_DEFAULT;
 use crate::size::{Bytes, Memory, PictureSize};
+use crate::trace::{self, Session, Trace};
 
 /// Renders scenes larger than one machine's memory.
 ///
@@ -49,6 +50,7 @@ enum Command {
     Render(Box<Render>),
     Prepare(Prepare),
     Info(ShowInfo),
+    Trace(RecordTrace),
 }
 
 /// Renders a mesh, a scene image or a built-in scene on a cluster of local processes
@@ -116,10 +118,20 @@ struct Cluster {
     /// How pages appear: auto, uffd, segv, soft or replicated
     #[arg(long, value_name = "NAME", default_value = "auto", value_parser = backend)]
     backend: Backend,
-    /// Which page leaves for another: random, fifo or clock
-    #[arg(long, value_name = "NAME", default_value_t = PolicyKind::Random)]
+    /// Which page leaves for another: random, fifo, clock, sieve, s3-fifo or recall
+    #[arg(long, visible_alias = "replacement", value_name = "NAME", default_value_t = PolicyKind::Recall)]
     policy: PolicyKind,
-    /// How tiles are drawn: auto, avx512, avx2, portable (beams with these instructions), or rays; all draw the same
+    /// How it learns which pages are used: hints, at the end of each tile; soft-faults, by hiding pages before they
+    /// leave; or none
+    #[arg(long, value_name = "NAME", default_value_t = ReferenceSource::Hints)]
+    reference: ReferenceSource,
+    /// With soft-faults, how many per cent of the slots hold hidden pages
+    #[arg(long, value_name = "PERCENT", default_value_t = HIDDEN_PER_CENT, value_parser = clap::value_parser!(u32).range(1..=90))]
+    hidden: u32,
+    /// With hints, do not bring the pages that a tile used in the last frame before it starts
+    #[arg(long)]
+    no_prefetch: bool,
+    /// How tiles are drawn: auto, avx512, avx2, portable (beams with these instructions), rays, or rays-avx2 and so on; all draw the same
     #[arg(long, value_name = "NAME", default_value = "auto", value_parser = kernel)]
     kernel: ChosenKernel,
     /// How pages travel between the processes
@@ -183,14 +195,55 @@ struct Prepare {
     quiet: bool,
 }
 
-/// Shows what is in a scene image
+/// Shows what is in a scene image or a page trace
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  memsavvy info dragon.msv")]
+  memsavvy info dragon.msv
+  memsavvy info dragon.trace")]
 struct ShowInfo {
-    /// A scene image made by `memsavvy prepare`
+    /// A scene image made by `memsavvy prepare`, or a trace made by `memsavvy trace`
+    file: PathBuf,
+}
+
+/// Records which pages each tile of a session touches, to compare replacement policies on
+///
+/// The frames are drawn by this process alone, tile by tile as the nodes of a run would, with the whole image in memory.
+/// `cargo run --release -p bench -- replacement` compares policies on traces.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  memsavvy trace dragon.ply -o dragon.trace
+  memsavvy trace dragon.msv -o walk.trace --path walk --frames 24 --circle 180 --radius 0.75
+  memsavvy trace knot:600000 -o knot.trace --nodes 4 --page 4K
+  memsavvy info knot.trace")]
+struct RecordTrace {
+    /// A mesh (PLY, OBJ), a scene image made by `memsavvy prepare`, or a built-in scene: knot:TRIANGLES or
+    /// sphereflake:DEPTH
     scene: PathBuf,
+    /// The trace to write
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Nodes that the tiles are dealt to, as in a run
+    #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u16).range(1..=64))]
+    nodes: u16,
+    /// Page size: a power of two from 4K to 2M [default: 16K, or what the image was prepared for]
+    #[arg(long, value_name = "SIZE", value_parser = page_bytes)]
+    page: Option<u32>,
+    /// How tiles are drawn, as for `render`; beams read other records than rays do
+    #[arg(long, value_name = "NAME", default_value = "auto", value_parser = kernel)]
+    kernel: ChosenKernel,
+    /// The way that the eye goes: around the scene, or around it and closer to a third of the distance
+    #[arg(long, value_name = "WAY", value_enum, default_value_t = trace::Path::Orbit)]
+    path: trace::Path,
+    /// Frames that a full circle would take: how fast the eye moves [default: as many as there are frames]
+    #[arg(long, value_name = "F", value_parser = clap::value_parser!(u32).range(1..))]
+    circle: Option<u32>,
+    #[command(flatten)]
+    view: View,
+    /// Print nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
 }
 
 /// A backend by name, or the best that there is.
@@ -231,6 +284,7 @@ impl CommandLine {
             Some(Command::Render(render)) => render.run(command),
             Some(Command::Prepare(prepare)) => prepare.run(),
             Some(Command::Info(info)) => info.run(),
+            Some(Command::Trace(trace)) => trace.run(),
         }
     }
 }
@@ -255,6 +309,9 @@ impl Render {
             page_bytes: cluster.page,
             backend: cluster.backend.0,
             policy: cluster.policy,
+            reference: cluster.reference,
+            hidden_per_cent: cluster.hidden,
+            prefetch: !cluster.no_prefetch,
             kernel: cluster.kernel.0,
             transport: cluster.transport,
             size: view.size,
@@ -331,13 +388,60 @@ impl Prepare {
 
 impl ShowInfo {
     fn run(&self) -> Result<()> {
-        let name = self.scene.display();
-        if !SceneFile::is_one(&self.scene).with_context(|| format!("cannot read {name}"))? {
-            bail!("{name} is no scene image; make one with `memsavvy prepare {name} -o scene.msv`");
+        let name = self.file.display();
+        if Trace::is_one(&self.file).with_context(|| format!("cannot read {name}"))? {
+            let trace = Trace::read(&self.file).with_context(|| format!("cannot use {name}"))?;
+            return print(&describe_trace(&trace));
         }
-        let file = SceneFile::open(&self.scene).with_context(|| format!("cannot use {name}"))?;
+        if !SceneFile::is_one(&self.file).with_context(|| format!("cannot read {name}"))? {
+            bail!(
+                "{name} is no scene image and no trace; make an image with `memsavvy prepare {name} -o scene.msv`"
+            );
+        }
+        let file = SceneFile::open(&self.file).with_context(|| format!("cannot use {name}"))?;
         print(&describe(&file.info()))
     }
+}
+
+impl RecordTrace {
+    fn run(self) -> Result<()> {
+        check_folder_of(&self.output)?;
+        let view = self.view;
+        let session = Session {
+            source: Source::named(&self.scene)?,
+            page_bytes: self.page,
+            nodes: self.nodes,
+            kernel: self.kernel.0,
+            size: view.size,
+            path: self.path,
+            frames: view.frames,
+            circle: self.circle.unwrap_or(view.frames),
+            radius: view.radius,
+            elevation: view.elevation,
+            quiet: self.quiet,
+        };
+        let trace = trace::record(&session)?;
+        write_whole(&self.output, |file| Ok(trace.write(file)?))?;
+        if self.quiet {
+            return Ok(());
+        }
+        print(&format!("{}\nwrote {}", describe_trace(&trace), self.output.display()))
+    }
+}
+
+/// What is in a trace, one fact a line.
+fn describe_trace(trace: &Trace) -> String {
+    let [width, height] = trace.size;
+    let lines = [
+        ("frames", format!("{} of {width}x{height}", trace.frames.len())),
+        ("nodes", trace.nodes.to_string()),
+        ("pages", format!("{} of {}", thousands(trace.page_count.into()), Bytes(trace.page_bytes.into()))),
+        ("touched", format!("{} pages", thousands(trace.distinct_pages()))),
+        ("a frame", format!("{:.1} pages of a node", trace.pages_per_node_frame())),
+        ("a tile", format!("{:.1} pages", trace.pages_per_tile())),
+        ("touches", thousands(trace.touch_count())),
+    ];
+    lines.iter().map(|(what, value)| format!("{what:>12}  {value}")).collect::<Vec<_>>().join("\n")
 }
 
 /// What is in a scene image, one fact a line.

@@ -61,6 +61,10 @@ pub(crate) struct SetUp {
     pub(crate) binds_to_cores: bool,
     pub(crate) backend: String,
     pub(crate) policy: String,
+    /// A source of reference bits by name.
+    pub(crate) reference: String,
+    pub(crate) hidden_per_cent: u32,
+    pub(crate) prefetch: bool,
     pub(crate) kernel: String,
     pub(crate) transport: TransportKind,
     pub(crate) spin_us: u64,
@@ -316,10 +320,11 @@ fn with_json(letter: u8, value: &impl Serialize) -> Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rt_core::TILE_SIZE;
 
     #[test]
     fn tiles_travel_in_packets_that_fit() {
-        let tiles = Tiles::of(40, 20);
+        let tiles = Tiles::of(3 * TILE_SIZE - 5, 2 * TILE_SIZE - 9);
         let counts = TileCounts { primary: 1, hits: 2, shadow: 3, lit: 4, damaged: 5, t_sum: 0.0 };
         let mut batch = TileBatch::new(7);
         for id in tiles.ids() {
@@ -351,7 +356,7 @@ mod tests {
 
     #[test]
     fn half_a_tile_and_a_tile_of_another_picture_are_errors() {
-        let tiles = Tiles::of(16, 16);
+        let tiles = Tiles::of(TILE_SIZE, TILE_SIZE);
         for bytes in [&[0, 0, 0][..], &[0, 0, 0, 0, 1, 2], &[9, 0, 0, 0]] {
             let batch = TileBatch { drawn: Drawn::default(), bytes: bytes.to_vec() };
             assert!(batch.tiles(tiles).next().unwrap().is_err());

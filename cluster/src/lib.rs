@@ -4,7 +4,7 @@
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | [`command_line`] | `memsavvy render`, `prepare`, `info`: flags, help, errors |
+//! | [`command_line`] | `memsavvy render`, `prepare`, `info`, `trace`: flags, help, errors |
 //! | [`size`] | `16K`, `40%`, `640x480`: how people write sizes |
 //! | [`plan`] | from what was asked for to what each process may hold; pure arithmetic |
 //! | [`run`] | a whole run: plan, start, frames, report |
@@ -12,8 +12,9 @@
 //! | `canvas` | a frame that is being put together from tiles |
 //! | `loss` | processes that die while the others go on |
 //! | `control`, `link` | what supervisor and nodes say to each other, and the socket it goes over |
-//! | `node`, `painter`, `ports` | a process of the cluster: its pages, its render threads, its ways to the others |
+//! | `node`, `painter`, `noted`, `ports` | a process of the cluster: its pages, its render threads and what they use, its ways to the others |
 //! | `scene_source` | where the scene comes from: a mesh, an image, a built-in scene |
+//! | [`trace`] | the pages that a session touches, recorded to compare replacement policies |
 //! | [`report`] | what a run prints and writes |
 //! | `picture`, `output` | pixels to PNG, and their hash; files that are whole or not there |
 //!
@@ -35,6 +36,7 @@ mod control;
 mod link;
 mod loss;
 mod node;
+pub mod noted;
 mod output;
 mod painter;
 mod picture;
@@ -46,5 +48,6 @@ pub mod run;
 mod scene_source;
 pub mod size;
 mod supervisor;
+pub mod trace;
 
 pub use node::run_as_node_if_asked;

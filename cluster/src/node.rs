@@ -15,7 +15,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use dsm_core::id::{ClusterId, NodeId};
 use dsm_core::node::Config;
 use dsm_core::placement::Stripes;
-use dsm_core::replacement::PolicyKind;
+use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use dsm_core::stats::{Histogram, HomeStats};
 use fault_linux::{BackendKind, Region, Setup, ThreadStats};
 use rt_core::schedule::Static;
@@ -137,9 +137,9 @@ impl Process {
         let crew = self.start()?;
         loop {
             match self.next_order()? {
-                Some(Order::Draw(frame)) => crew.draw(&self.job(frame)),
+                Some(Order::Draw(frame)) => crew.begin(self.job(frame)),
                 Some(Order::DrawTiles(frame, tiles)) => {
-                    crew.draw(&Arc::new(Job::new(frame, Tiles::of(frame.width, frame.height), tiles)));
+                    crew.draw(Job::new(frame, Tiles::of(frame.width, frame.height), tiles));
                 }
                 Some(Order::Down(process)) => {
                     crew.region.iter().for_each(|region| region.handle_peer_down(NodeId(process)));
@@ -232,12 +232,24 @@ impl Process {
             _ => None,
         };
         let policy: PolicyKind = self.set_up.policy.parse()?;
+        let reference: ReferenceSource = self.set_up.reference.parse()?;
+        let SetUp { hidden_per_cent, prefetch, .. } = self.set_up;
         let backend = match self.set_up.backend.as_str() {
             "auto" => None,
             name => Some(name.parse::<BackendKind>()?),
         };
         let seed = self.set_up.seed ^ u64::from(self.set_up.node);
-        let setup = Setup { node, policy, seed, slot_count: slots, home, backend };
+        let setup = Setup {
+            node,
+            policy,
+            reference,
+            hidden_per_cent,
+            prefetch,
+            seed,
+            slot_count: slots,
+            home,
+            backend,
+        };
         // SAFETY: every process freezes its page file once it is filled, and only then says that it is ready; the
         // supervisor lets nobody draw before. From then on a page has the same bytes whoever grants it.
         Ok(unsafe { Region::new(setup) }?)
@@ -250,10 +262,11 @@ impl Process {
         }
     }
 
-    fn job(&self, frame: Frame) -> Arc<Job> {
+    fn job(&self, frame: Frame) -> Job {
         let tiles = Tiles::of(frame.width, frame.height);
         let schedule = Static::new(tiles, self.set_up.nodes.into());
-        Arc::new(Job::new(frame, tiles, schedule.tiles_of(self.set_up.node.into()).collect()))
+        let own = schedule.drawing_order(self.set_up.node.into(), frame.number).collect();
+        Job::new(frame, tiles, own)
     }
 
     /// Ends the threads and writes down what they have counted.
@@ -280,11 +293,16 @@ impl Process {
                 .map_or(Vec::new(), |choice| choice.declined.iter().map(ToString::to_string).collect()),
             kernel: if self.renders() { self.kernel()?.to_string() } else { String::new() },
             policy: if slots > 0 { self.set_up.policy.clone() } else { String::new() },
+            reference: region.as_ref().map_or("", |region| region.reference().name()).to_owned(),
             faults: stats.faults,
             merged_faults: stats.merged_faults,
             fetched_pages: stats.fetched_pages,
             received_bytes: stats.received_bytes,
             evictions: stats.evicted_pages,
+            soft_faults: stats.soft_faults,
+            prefetched: stats.prefetched_pages,
+            prefetch_used: stats.prefetch_used,
+            prefetch_wasted: stats.prefetch_wasted,
             resends: stats.resends,
             miss_p50_us: us(500),
             miss_p99_us: us(990),
@@ -324,7 +342,16 @@ impl Process {
 }
 
 impl Crew {
-    fn draw(&self, job: &Arc<Job>) {
+    /// Draws a new frame.
+    fn begin(&self, job: Job) {
+        if let Some(region) = &self.region {
+            region.begin_frame(&job.order());
+        }
+        self.draw(job);
+    }
+
+    fn draw(&self, job: Job) {
+        let job = Arc::new(job);
         for hand in &self.painters {
             // A thread that has ended has said why, and the supervisor will end this process.
             let _ = hand.jobs.send(job.clone());

@@ -10,6 +10,7 @@ use rt_core::{Flat, Frame, Kernel, SceneMemory, SceneView, TILE_SIZE, TileId, Ti
 
 use crate::control::{News, TileBatch};
 use crate::link::Link;
+use crate::noted::{Noted, Notes};
 use crate::ports::Port;
 
 /// A frame to draw, shared by the threads of a node: each takes the next tile that nobody has.
@@ -46,6 +47,11 @@ impl Job {
         Self { frame, tiles, own, next: AtomicUsize::new(0) }
     }
 
+    /// The numbers of the tiles, in the order in which they are drawn.
+    pub(crate) fn order(&self) -> Vec<u32> {
+        self.own.iter().map(|tile| tile.0).collect()
+    }
+
     fn take(&self) -> Option<TileId> {
         self.own.get(self.next.fetch_add(1, Ordering::Relaxed)).copied()
     }
@@ -56,14 +62,16 @@ impl Painter {
     pub(crate) fn run(self) -> Result<ThreadStats> {
         let Self { region, port, link, jobs, image_bytes, kernel, batch_tiles } = self;
         let attached = region.attach(port)?;
-        let canvas = Canvas { attached: &attached, link: &link, jobs: &jobs, kernel, batch_tiles };
+        let notes = Notes::new(u32::try_from(region.page_bytes())?, image_bytes);
+        let canvas =
+            Canvas { attached: &attached, notes: &notes, link: &link, jobs: &jobs, kernel, batch_tiles };
         if region.choice().used == BackendKind::Soft {
-            canvas.draw_all(Slotted { attached: &attached, length: image_bytes })?;
+            canvas.draw_all(Noted::new(Slotted { attached: &attached, length: image_bytes }, &notes))?;
         } else {
             let bytes = attached.bytes();
             // Behind the image's end lies only what fills the last page.
             let length = usize::try_from(image_bytes)?.min(bytes.len());
-            canvas.draw_all(Flat::new(&bytes[..length]))?;
+            canvas.draw_all(Noted::new(Flat::new(&bytes[..length]), &notes))?;
         }
         Ok(attached.stats())
     }
@@ -72,6 +80,7 @@ impl Painter {
 /// Where a thread's tiles come from and go to.
 struct Canvas<'a> {
     attached: &'a Attached<Port>,
+    notes: &'a Notes,
     link: &'a Link,
     jobs: &'a Receiver<Arc<Job>>,
     kernel: Kernel,
@@ -97,7 +106,9 @@ impl Canvas<'_> {
         while let Some(id) = job.take() {
             let Some(tile) = job.tiles.get(id) else { continue };
             let pixels = &mut pixels[..tile.pixels()];
+            self.attached.begin_tile(id.0);
             let counts = render_tile(scene, &job.frame, tile, self.kernel, pixels, &mut ());
+            self.notes.take(|pages| self.attached.end_tile(id.0, pages));
             if batched == self.batch_tiles || !batch.push(id, pixels, &counts) {
                 self.send(core::mem::replace(&mut batch, TileBatch::new(frame)))?;
                 batch.push(id, pixels, &counts);

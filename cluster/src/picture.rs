@@ -65,11 +65,12 @@ impl Picture {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rt_core::Tiles;
+    use rt_core::{TILE_SIZE, Tiles};
 
     #[test]
     fn tiles_of_every_size_land_where_they_belong() {
-        let size = PictureSize { width: 37, height: 21 };
+        let edge = TILE_SIZE as usize;
+        let size = PictureSize { width: 2 * TILE_SIZE + 5, height: TILE_SIZE + 5 };
         let tiles = Tiles::of(size.width, size.height);
         let mut picture = Picture::new(size);
         for id in tiles.ids() {
@@ -77,7 +78,8 @@ mod tests {
             picture.put(tile, &vec![u8::try_from(id.0).unwrap() + 1; tile.pixels()]);
         }
         for (index, pixel) in picture.pixels().iter().enumerate() {
-            assert_eq!(usize::from(*pixel), index / 37 / 16 * 3 + index % 37 / 16 + 1);
+            let (x, y) = (index % (2 * edge + 5), index / (2 * edge + 5));
+            assert_eq!(usize::from(*pixel), y / edge * 3 + x / edge + 1);
         }
     }
 

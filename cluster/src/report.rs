@@ -104,6 +104,9 @@ pub struct ProcessReport {
     pub kernel: String,
     /// The replacement policy in use; empty where nothing is replaced.
     pub policy: String,
+    /// How the policy learned which pages are used: `none`, `hints` or `soft-faults`.
+    #[serde(default)]
+    pub reference: String,
     /// Loads that met an absent page.
     pub faults: u64,
     /// Of those, the ones that found another thread fetching the page.
@@ -114,6 +117,18 @@ pub struct ProcessReport {
     pub received_bytes: u64,
     /// Pages that had to leave for them.
     pub evictions: u64,
+    /// Faults that found the page hidden and sent no message.
+    #[serde(default)]
+    pub soft_faults: u64,
+    /// Pages asked for before anybody touched them.
+    #[serde(default)]
+    pub prefetched: u64,
+    /// Of those, pages that were used.
+    #[serde(default)]
+    pub prefetch_used: u64,
+    /// Of those, pages that left unused.
+    #[serde(default)]
+    pub prefetch_wasted: u64,
     /// Requests sent again.
     pub resends: u64,
     /// Median time of a miss, from the fault to the page's presence, in microseconds.
@@ -273,7 +288,7 @@ fn table(nodes: &[ProcessReport]) -> String {
             thousands(node.evictions),
             thousands(node.merged_faults),
             format!("{:.1} / {:.1} us", node.miss_p50_us, node.miss_p99_us),
-            format!("{} {}", node.backend, node.policy).trim().to_owned(),
+            format!("{} {} {}", node.backend, node.policy, node.reference).trim().to_owned(),
         ]
     }));
     let width = |column: usize| rows.iter().map(|row| row[column].len()).max().unwrap_or(0);

@@ -7,7 +7,7 @@ use std::thread::available_parallelism;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, bail};
-use dsm_core::replacement::PolicyKind;
+use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use fault_linux::BackendKind;
 use rt_core::camera::OrbitPlace;
 use rt_core::{Frame, Header, Kernel, Orbit};
@@ -48,6 +48,12 @@ pub struct Options {
     pub backend: Option<BackendKind>,
     /// Which page leaves.
     pub policy: PolicyKind,
+    /// How it learns which pages are used.
+    pub reference: ReferenceSource,
+    /// How many per cent of its slots hold hidden pages, where soft faults are the source.
+    pub hidden_per_cent: u32,
+    /// Whether pages are brought before a tile starts, where hints are the source.
+    pub prefetch: bool,
     /// How tiles are drawn; `None`: by the fastest kernel that the node's processor has.
     pub kernel: Option<Kernel>,
     /// How pages travel.
@@ -88,7 +94,10 @@ impl Default for Options {
             memory: None,
             page_bytes: None,
             backend: None,
-            policy: PolicyKind::Random,
+            policy: PolicyKind::Recall,
+            reference: ReferenceSource::Hints,
+            hidden_per_cent: HIDDEN_PER_CENT,
+            prefetch: true,
             kernel: None,
             transport: TransportKind::Shm,
             size: PictureSize { width: 512, height: 512 },
@@ -213,6 +222,9 @@ impl Run {
             binds_to_cores: self.binds_to_cores(options),
             backend: options.backend.map_or("auto", BackendKind::name).to_owned(),
             policy: options.policy.name().to_owned(),
+            reference: options.reference.name().to_owned(),
+            hidden_per_cent: options.hidden_per_cent,
+            prefetch: options.prefetch,
             kernel: options.kernel.map_or("auto", Kernel::name).to_owned(),
             transport: self.transport,
             spin_us: self.spin_us(),
@@ -309,8 +321,11 @@ impl Drawing {
     }
 }
 
+/// Slots that hold hidden pages, in per cent: more of them bring little and cost many soft faults.
+pub(crate) const HIDDEN_PER_CENT: u32 = 25;
+
 /// Tiles sent at a time where a process is to be killed after so many.
-const BATCH_TILES_COUNTED: u16 = 4;
+const BATCH_TILES_COUNTED: u16 = 2;
 
 /// Threads that one region can serve.
 const THREADS_MAX: u16 = 256;

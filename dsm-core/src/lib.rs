@@ -13,7 +13,8 @@
 //! | [`placement`] | which nodes hold which page |
 //! | [`page_state`] | the life of a page in a cache, as one table of state and event |
 //! | [`page_table`], [`storage`] | where that state is kept, in memory lent by the caller |
-//! | [`replacement`] | which page has to leave: `random`, `fifo`, `clock` |
+//! | [`replacement`] | which page has to leave: `random`, `fifo`, `clock`, `sieve`, `s3-fifo`, `recall` |
+//! | [`page_sets`] | what each tile touched in the last frame, which foretells the next |
 //! | `request`, `fragments` | what has been asked for and not yet answered, and which parts of it have come |
 //! | [`membership`], `round_trip` | which owners are alive, and how long to wait for an answer of each |
 //! | [`wire`] | the messages: parse and emit |
@@ -79,9 +80,11 @@ pub mod mutants;
 #[cfg(not(mutants))]
 mod mutants;
 pub mod node;
+pub mod page_sets;
 pub mod page_state;
 pub mod page_table;
 pub mod placement;
+mod prefetch;
 pub mod replacement;
 mod request;
 mod round_trip;

@@ -112,6 +112,11 @@ impl<'s> Membership<'s> {
         Self { is_uneven: !is_even, ..self }
     }
 
+    /// Gives the lent entries back.
+    pub(crate) fn into_entries(self) -> &'s mut [PeerEntry] {
+        self.peers
+    }
+
     /// Feeds a hash with what is known of every peer, times as distances from `now` and no finer than they matter.
     pub(crate) fn fingerprint(&self, now: Instant, hasher: &mut impl Hasher) {
         let patience = self.patience;
@@ -169,12 +174,12 @@ impl<'s> Membership<'s> {
         }
     }
 
-    /// A request to `node` was not answered in a time that had been doubled `backoff` times: the next waits twice as
-    /// long, however many requests find out at once. Looks at how long the node has been silent.
+    /// A request to `node` was not answered in time: its timeouts are doubled `backoff` times from now on, however many
+    /// requests find out at once. Looks at how long the node has been silent.
     pub(crate) fn timed_out(&mut self, now: Instant, node: NodeId, backoff: u8) {
         let patience = self.patience;
         let Some(peer) = self.peer_mut(node) else { return };
-        peer.backoff = peer.backoff.max(backoff + 1).min(BACKOFF_MAX);
+        peer.backoff = peer.backoff.max(backoff).min(BACKOFF_MAX);
         let silent_us = peer.silent_since.map_or(0, |since| now.since(since));
         let is_ignored = peer.unanswered >= UNANSWERED_BEFORE_DEATH;
         let liveness = if silent_us >= patience.dead_after_us && is_ignored {
@@ -274,7 +279,7 @@ mod tests {
     }
 
     fn ask_in_vain(membership: &mut Membership<'_>, times: u8, until: u64) -> Liveness {
-        for backoff in 0..times {
+        for backoff in 1..=times {
             membership.sent(at(0), PEER);
             membership.timed_out(at(until), PEER, backoff);
         }
@@ -320,7 +325,7 @@ mod tests {
     #[test]
     fn timeouts_double_until_something_sent_once_is_answered() {
         with_membership(|mut membership| {
-            for backoff in 0..3 {
+            for backoff in 1..=3 {
                 membership.timed_out(at(0), PEER, backoff);
                 membership.timed_out(at(0), PEER, backoff);
             }
@@ -335,7 +340,7 @@ mod tests {
         with_membership(|mut membership| {
             for node in [NodeId(0), NodeId(4), NodeId(u16::MAX)] {
                 membership.sent(at(0), node);
-                membership.timed_out(at(1000), node, 0);
+                membership.timed_out(at(1000), node, 1);
                 assert!(!membership.heard(node, Incarnation(9)) && !membership.bury(node));
                 assert_eq!((membership.liveness(node), membership.timeout_us(node)), (Liveness::Alive, 10));
             }

@@ -20,7 +20,8 @@ use crate::membership::{Liveness, Membership};
 use crate::mutants::{self, Mutant};
 use crate::page_state::{Effect, PageEvent, PageState};
 use crate::page_table::{PageTable, StorageError};
-use crate::replacement::{Policy, Replacement};
+use crate::prefetch::Account;
+use crate::replacement::{Policy, Replacement, Residents};
 use crate::request::Requests;
 use crate::stats::NodeStats;
 use crate::storage::{PeerEntry, Storage};
@@ -41,12 +42,13 @@ pub struct Node<'s, R: Replacement = Policy> {
     table: PageTable<'s>,
     requests: Requests<'s>,
     membership: Membership<'s>,
-    replacement: R,
+    residents: Residents<R>,
     clock: SteadyClock,
     outbox: Deque<Pending, OUTBOX>,
     /// A thread waits for a slot, any slot.
     slot_waited_for: bool,
     next_number: u32,
+    prefetch: Account,
     stats: NodeStats,
 }
 
@@ -63,6 +65,8 @@ pub enum Fault {
     /// Every slot is on its way in or out. If the poll gave pages to unmap, do that; else wait until those who wait
     /// for slots are woken. Then call [`Node::handle_fault_again`].
     Full,
+    /// The page was hidden, and you show it: do what the poll says, call [`Node::handle_filled`], and go on.
+    Show,
     /// The page cannot be had.
     Failed(Failure),
 }
@@ -109,6 +113,13 @@ pub enum Output {
         /// The slot it lies in.
         slot: SlotId,
     },
+    /// Take `page` from its readers' sight but keep its bytes in `slot`, then call [`Node::handle_covered`].
+    Hide {
+        /// The page that replacement wants to know more of.
+        page: PageId,
+        /// The slot it lies in, and stays in.
+        slot: SlotId,
+    },
     /// Wake every thread that waits for `page`.
     WakePage {
         /// The page whose state changed.
@@ -127,10 +138,15 @@ pub enum PageBytes {
     InMessage,
     /// They were gathered as [`Output::Store`] said, the last of them just now.
     Stored,
+    /// They have been in the slot all the time: the page was hidden.
+    Kept,
 }
 
 /// Outputs that one input can cause.
-pub const OUTBOX: usize = EVICT_BATCH_MAX as usize + 4;
+pub const OUTBOX: usize = (1 + HIDES_PER_VICTIM) * EVICT_BATCH_MAX as usize + 4;
+
+/// Pages hidden for each that leaves, at most: so their number grows to what it may be.
+const HIDES_PER_VICTIM: usize = 2;
 
 /// Requests that one call of [`Node::handle_timeout`] looks after; each can cause two outputs. Those left over stay due.
 const DUE_MAX: usize = OUTBOX / 2;
@@ -164,14 +180,27 @@ impl<'s, R: Replacement> Node<'s, R> {
             table,
             requests: Requests::new(requests, 0),
             membership: Membership::new(peers, placement.first_owner(), config.patience(), config.limits()),
+            residents: Residents::new(replacement, config.hidden_max),
             config,
-            replacement,
             clock: SteadyClock::default(),
             outbox: Deque::new(),
             slot_waited_for: false,
             next_number: 0,
+            prefetch: Account::new(),
             stats: NodeStats::default(),
         })
+    }
+
+    /// Gives the lent storage back, for a node that takes this one's place.
+    #[must_use]
+    pub fn into_storage(self) -> Storage<'s> {
+        let (pages, slots) = self.table.into_entries();
+        Storage {
+            pages,
+            slots,
+            peers: self.membership.into_entries(),
+            requests: self.requests.into_entries(),
+        }
     }
 
     /// A thread touched `page`, which was not mapped for it. It can be reached through `port`.
@@ -182,7 +211,7 @@ impl<'s, R: Replacement> Node<'s, R> {
             Fault::Wait => self.stats.merged_faults += 1,
             Fault::Ready => self.stats.ready_faults += 1,
             Fault::Full => self.stats.full_faults += 1,
-            Fault::Fetch | Fault::Failed(_) => {}
+            Fault::Fetch | Fault::Show | Fault::Failed(_) => {}
         }
         answer
     }
@@ -218,7 +247,19 @@ impl<'s, R: Replacement> Node<'s, R> {
         self.clock.advance(now);
         if let Effect::Wake = self.apply(page, PageEvent::Filled) {
             if let Some(slot) = self.table.slot(page) {
-                self.replacement.handle_resident(self.table.slots_mut(), slot);
+                self.residents.handle_resident(self.table.slots_mut(), slot);
+            }
+            self.wake(page);
+        }
+    }
+
+    /// The driver has taken `page` from its readers' sight.
+    pub fn handle_covered(&mut self, now: Instant, page: PageId) {
+        self.expect_drained();
+        self.clock.advance(now);
+        if let Effect::Keep = self.apply(page, PageEvent::Covered) {
+            if let Some(slot) = self.table.slot(page) {
+                self.residents.handle_hidden(self.table.slots_mut(), slot);
             }
             self.wake(page);
         }
@@ -238,8 +279,64 @@ impl<'s, R: Replacement> Node<'s, R> {
         if self.table.state(page) == Some(PageState::Resident)
             && let Some(slot) = self.table.slot(page)
         {
-            self.replacement.handle_reference(self.table.slots_mut(), slot);
+            self.residents.policy_mut().handle_reference(self.table.slots_mut(), slot);
+            if core::mem::take(&mut self.table.slots_mut()[slot.index()].prefetched) {
+                self.stats.prefetch_used += 1;
+                self.prefetch.used();
+            }
         }
+    }
+
+    /// Pages are about to be brought that nobody waits for: makes slots free for up to `count` of them, if they can be had
+    /// for pages that are needed later.
+    ///
+    /// Gives the number that can be asked for, after what [`poll`](Self::poll) says has been carried out. 0 where it
+    /// has shown that it does not pay.
+    pub fn handle_prefetch_wish(&mut self, now: Instant, count: u32) -> u32 {
+        self.expect_drained();
+        self.clock.advance(now);
+        if !self.prefetch.allows() {
+            return 0;
+        }
+        let count = count.min(EVICT_BATCH_MAX);
+        while self.table.free_count() + self.table.leaving_count() < count {
+            let Some(slot) = self.residents.choose_victim_for_prefetch(self.table.slots_mut()) else { break };
+            self.evict_from(slot);
+        }
+        count.min(self.table.free_count() + self.table.leaving_count())
+    }
+
+    /// Asks for a page that nobody has touched, if it is absent and a slot is free and half of the requests are. Tells
+    /// whether it did; the answer comes to `port`.
+    pub fn handle_prefetch(&mut self, now: Instant, page: PageId, port: PortId) -> bool {
+        self.expect_drained();
+        let now = self.clock.advance(now);
+        let has_room = self.table.free_count() > 0 && 2 * self.requests.len() < self.requests.capacity();
+        if !has_room || self.table.state(page) != Some(PageState::Absent) {
+            return false;
+        }
+        if let Effect::SendRequest = self.apply(page, PageEvent::Fault) {
+            self.stats.prefetched_pages += 1;
+            if let Some(slot) = self.table.slot(page) {
+                self.table.slots_mut()[slot.index()].prefetched = true;
+            }
+            self.begin_request(now, page, port, 0);
+        }
+        true
+    }
+
+    /// The driver expects `page` to be used next at tile `next_use`. Without effect unless it is resident.
+    pub fn handle_forecast(&mut self, page: PageId, next_use: u32) {
+        if self.table.state(page) == Some(PageState::Resident)
+            && let Some(slot) = self.table.slot(page)
+        {
+            self.residents.policy_mut().handle_forecast(self.table.slots_mut(), slot, next_use);
+        }
+    }
+
+    /// Tile `now` is being drawn, and the next frame begins with tile `frame_end`, in the count of all tiles.
+    pub fn handle_clock(&mut self, now: u32, frame_end: u32) {
+        self.residents.policy_mut().handle_clock(now, frame_end);
     }
 
     /// Time has passed for the requests that left through `port`. Early or repeated calls do nothing.
@@ -361,7 +458,8 @@ impl<'s, R: Replacement> Node<'s, R> {
             assert!(asks_holder, "ASKS_HOLDER: {} asked for {}", request.holder, request.page);
         }
         if self.slot_waited_for {
-            let busy = self.table.slot_count() - self.table.free_count() - self.table.resident_count();
+            let idle = self.table.free_count() + self.table.resident_count() + self.table.hidden_count();
+            let busy = self.table.slot_count() - idle;
             assert!(busy > 0, "NO_LOST_WAITER: for a slot");
         }
     }
@@ -383,6 +481,10 @@ impl<'s, R: Replacement> Node<'s, R> {
                 Fault::Fetch
             }
             Effect::Wait => Fault::Wait,
+            Effect::Show => {
+                self.show(page);
+                Fault::Show
+            }
             Effect::Refuse => Fault::Failed(self.table.failure(page)),
             _ => {
                 self.handle_reference(page);
@@ -403,17 +505,48 @@ impl<'s, R: Replacement> Node<'s, R> {
         Fault::Full
     }
 
+    /// A hidden page was touched.
+    fn show(&mut self, page: PageId) {
+        self.stats.soft_faults += 1;
+        if let Some(slot) = self.table.slot(page) {
+            self.residents.handle_shown(self.table.slots_mut(), slot);
+            self.push(Pending::Done(Output::Map { page, slot, bytes: PageBytes::Kept }));
+        }
+    }
+
+    /// Has pages hidden, so that there are hidden ones to choose victims from.
+    fn hide(&mut self) {
+        for _ in 0..HIDES_PER_VICTIM * self.config.evict_batch as usize {
+            let Some(slot) = self.residents.choose_to_hide(self.table.slots_mut()) else { break };
+            let Some(page) = self.table.page_in(slot) else { continue };
+            if let Effect::Hide = self.apply(page, PageEvent::Hide) {
+                self.stats.hidden_pages += 1;
+                self.push(Pending::Done(Output::Hide { page, slot }));
+            }
+        }
+    }
+
     /// Chooses a batch of victims and has them taken away.
     fn evict(&mut self) {
         for _ in 0..self.config.evict_batch {
-            let Some(slot) = self.replacement.choose_victim(self.table.slots_mut()) else { break };
-            let Some(page) = self.table.page_in(slot) else { continue };
-            if let Effect::Unmap = self.apply(page, PageEvent::Evict) {
-                self.stats.evicted_pages += 1;
-                self.push(Pending::Done(Output::Unmap { page, slot }));
-                if mutants::is_on(Mutant::ReuseSlotEarly) {
-                    self.apply(page, PageEvent::Unmapped);
-                }
+            let Some(slot) = self.residents.choose_victim(self.table.slots_mut()) else { break };
+            self.evict_from(slot);
+        }
+        self.hide();
+    }
+
+    /// Has the page in `slot` taken away, which the policy has chosen.
+    fn evict_from(&mut self, slot: SlotId) {
+        let Some(page) = self.table.page_in(slot) else { return };
+        if let Effect::Unmap = self.apply(page, PageEvent::Evict) {
+            self.stats.evicted_pages += 1;
+            if core::mem::take(&mut self.table.slots_mut()[slot.index()].prefetched) {
+                self.stats.prefetch_wasted += 1;
+                self.prefetch.wasted();
+            }
+            self.push(Pending::Done(Output::Unmap { page, slot }));
+            if mutants::is_on(Mutant::ReuseSlotEarly) {
+                self.apply(page, PageEvent::Unmapped);
             }
         }
     }

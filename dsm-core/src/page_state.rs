@@ -18,6 +18,10 @@ pub enum PageState {
     Failed = 5,
     /// This node is its home: always mapped, never evicted.
     Home = 6,
+    /// Being taken from its readers' sight; its bytes stay in their slot.
+    Hiding = 7,
+    /// Out of its readers' sight, with its bytes in their slot: a touch brings it back without a message.
+    Hidden = 8,
 }
 
 /// What can happen to a page.
@@ -35,6 +39,10 @@ pub enum PageEvent {
     Evict,
     /// The driver has taken it away from its readers; its slot is free.
     Unmapped,
+    /// Replacement wants to know whether it is still used.
+    Hide,
+    /// The driver has taken it from its readers' sight.
+    Covered,
 }
 
 /// What the node has to do on a transition, and what the thread that faulted is told.
@@ -56,6 +64,12 @@ pub enum Effect {
     Wake,
     /// Take it away from its readers.
     Unmap,
+    /// Take it from its readers' sight and keep its bytes.
+    Hide,
+    /// Count it as hidden and wake who waits for it.
+    Keep,
+    /// Make the bytes that are in its slot visible again; the faulting thread does it.
+    Show,
     /// Free its slot and wake who waits, for it or for a slot.
     Release,
     /// Free its slot, remember why, and wake who waits.
@@ -64,7 +78,7 @@ pub enum Effect {
 
 impl PageState {
     /// All states, in the order of their numbers.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 9] = [
         Self::Absent,
         Self::Requested,
         Self::Filling,
@@ -72,6 +86,8 @@ impl PageState {
         Self::Leaving,
         Self::Failed,
         Self::Home,
+        Self::Hiding,
+        Self::Hidden,
     ];
 
     /// The transition table: the next state, and what follows from getting there.
@@ -80,35 +96,44 @@ impl PageState {
     /// The drawing of it is in ARCHITECTURE.md; `tests/page_state.rs` prints every cell.
     #[must_use]
     pub const fn on(self, event: PageEvent) -> (Self, Effect) {
-        use PageEvent::{Evict, Expire, Fault, Filled, Grant, Unmapped};
-        use PageState::{Absent, Failed, Filling, Home, Leaving, Requested, Resident};
+        use PageEvent::{Covered, Evict, Expire, Fault, Filled, Grant, Hide, Unmapped};
+        use PageState::{Absent, Failed, Filling, Hidden, Hiding, Home, Leaving, Requested, Resident};
         match (self, event) {
             (Absent, Fault) => (Requested, Effect::SendRequest),
-            (Absent, Grant | Filled | Expire | Evict | Unmapped) => (Absent, Effect::None), // late or twice
+            (Absent, Grant | Filled | Expire | Evict | Unmapped | Hide | Covered) => (Absent, Effect::None), // late or twice
 
             (Requested, Fault) => (Requested, Effect::Wait), // one request is enough
             (Requested, Grant) => (Filling, Effect::Map),
             (Requested, Expire) => (Failed, Effect::Fail),
-            (Requested, Filled | Evict | Unmapped) => (Requested, Effect::None), // holds a slot, but no page
+            (Requested, Filled | Evict | Unmapped | Hide | Covered) => (Requested, Effect::None), // holds a slot, but no page
 
             (Filling, Fault) => (Filling, Effect::Wait),
             (Filling, Filled) => (Resident, Effect::Wake),
             (Filling, Grant | Expire) => (Filling, Effect::None), // the bytes are here already
-            (Filling, Evict | Unmapped) => (Filling, Effect::None), // its slot is being written
+            (Filling, Evict | Unmapped | Hide | Covered) => (Filling, Effect::None), // its slot is being written
 
             (Resident, Fault) => (Resident, Effect::Ready), // two threads raced to it
             (Resident, Evict) => (Leaving, Effect::Unmap),
-            (Resident, Grant | Filled | Expire | Unmapped) => (Resident, Effect::None),
+            (Resident, Hide) => (Hiding, Effect::Hide),
+            (Resident, Grant | Filled | Expire | Unmapped | Covered) => (Resident, Effect::None),
 
             (Leaving, Fault) => (Leaving, Effect::Wait), // it must be gone before it can come again
             (Leaving, Unmapped) => (Absent, Effect::Release),
-            (Leaving, Grant | Filled | Expire | Evict) => (Leaving, Effect::None),
+            (Leaving, Grant | Filled | Expire | Evict | Hide | Covered) => (Leaving, Effect::None),
 
             (Failed, Fault) => (Failed, Effect::Refuse),
-            (Failed, Grant | Filled | Expire | Evict | Unmapped) => (Failed, Effect::None), // too late
+            (Failed, Grant | Filled | Expire | Evict | Unmapped | Hide | Covered) => (Failed, Effect::None), // too late
 
             (Home, Fault) => (Home, Effect::Ready), // mapped since before the first thread started
-            (Home, Grant | Filled | Expire | Evict | Unmapped) => (Home, Effect::None),
+            (Home, Grant | Filled | Expire | Evict | Unmapped | Hide | Covered) => (Home, Effect::None),
+
+            (Hiding, Fault) => (Hiding, Effect::Wait), // it must be out of sight before it can be shown
+            (Hiding, Covered) => (Hidden, Effect::Keep),
+            (Hiding, Grant | Filled | Expire | Evict | Unmapped | Hide) => (Hiding, Effect::None),
+
+            (Hidden, Fault) => (Filling, Effect::Show), // a soft fault
+            (Hidden, Evict) => (Leaving, Effect::Unmap),
+            (Hidden, Grant | Filled | Expire | Unmapped | Hide | Covered) => (Hidden, Effect::None),
         }
     }
 
@@ -121,7 +146,9 @@ impl PageState {
             3 => Self::Resident,
             4 => Self::Leaving,
             5 => Self::Failed,
-            _ => Self::Home,
+            6 => Self::Home,
+            7 => Self::Hiding,
+            _ => Self::Hidden,
         }
     }
 
@@ -129,7 +156,12 @@ impl PageState {
     #[must_use]
     pub const fn holds_slot(self) -> bool {
         match self {
-            Self::Requested | Self::Filling | Self::Resident | Self::Leaving => true,
+            Self::Requested
+            | Self::Filling
+            | Self::Resident
+            | Self::Leaving
+            | Self::Hiding
+            | Self::Hidden => true,
             Self::Absent | Self::Failed | Self::Home => false,
         }
     }
@@ -137,6 +169,14 @@ impl PageState {
 
 impl PageEvent {
     /// All events, in the order of the table's columns.
-    pub const ALL: [Self; 6] =
-        [Self::Fault, Self::Grant, Self::Filled, Self::Expire, Self::Evict, Self::Unmapped];
+    pub const ALL: [Self; 8] = [
+        Self::Fault,
+        Self::Grant,
+        Self::Filled,
+        Self::Expire,
+        Self::Evict,
+        Self::Unmapped,
+        Self::Hide,
+        Self::Covered,
+    ];
 }

@@ -30,6 +30,8 @@ pub(crate) struct Lists {
     free_count: u32,
     leaving_count: u32,
     resident_count: u32,
+    /// Pages that are hidden, and no longer being hidden.
+    hidden_count: u32,
 }
 
 /// Why the lent storage cannot hold a page table.
@@ -93,7 +95,8 @@ impl<'s> PageTable<'s> {
             *entry = SlotEntry { next: if slot == slot_count { NONE } else { slot }, ..SlotEntry::EMPTY };
         }
         let free_head = if slot_count == 0 { NONE } else { 0 };
-        let lists = Lists { free_head, free_count: slot_count, leaving_count: 0, resident_count: 0 };
+        let lists =
+            Lists { free_head, free_count: slot_count, leaving_count: 0, resident_count: 0, hidden_count: 0 };
         Ok(Self { pages, slots, lists })
     }
 
@@ -104,6 +107,11 @@ impl<'s> PageTable<'s> {
 
     pub(crate) fn lists(&self) -> Lists {
         self.lists
+    }
+
+    /// Gives the lent entries back. What is in them means nothing any more.
+    pub(crate) fn into_entries(self) -> (&'s mut [PageEntry], &'s mut [SlotEntry]) {
+        (self.pages, self.slots)
     }
 
     /// Feeds a hash with the state of every page and slot.
@@ -118,13 +126,17 @@ impl<'s> PageTable<'s> {
     /// A fault on an absent page takes a free slot; the caller has made sure that there is one.
     pub(crate) fn apply(&mut self, page: PageId, event: PageEvent) -> Effect {
         let entry = &mut self.pages[page.index()];
-        let (next, effect) = entry.state().on(event);
+        let before = entry.state();
+        let (next, effect) = before.on(event);
         entry.set_state(next);
         match effect {
             Effect::SendRequest => self.take_slot(page),
             Effect::Wait => self.pages[page.index()].set_waited_for(true),
             Effect::Wake => self.mark_resident(page),
-            Effect::Unmap => self.mark_leaving(page),
+            Effect::Unmap => self.mark_leaving(page, before),
+            Effect::Hide => self.mark_unseen(page),
+            Effect::Keep => self.lists.hidden_count += 1,
+            Effect::Show => self.lists.hidden_count -= 1,
             Effect::Release => {
                 self.lists.leaving_count -= 1;
                 self.free_slot(page);
@@ -189,6 +201,12 @@ impl<'s> PageTable<'s> {
         self.lists.resident_count
     }
 
+    /// Pages that are out of their readers' sight and kept.
+    #[must_use]
+    pub fn hidden_count(&self) -> u32 {
+        self.lists.hidden_count
+    }
+
     /// The state of `page`, or `None` when there is no such page.
     #[must_use]
     pub fn state(&self, page: PageId) -> Option<PageState> {
@@ -215,7 +233,10 @@ impl<'s> PageTable<'s> {
     /// When one does not hold; the message names it.
     pub fn check_invariants(&self) {
         for page in self.pages.iter().filter(|page| page.is_waited_for()) {
-            let due = matches!(page.state(), PageState::Requested | PageState::Filling | PageState::Leaving);
+            let due = matches!(
+                page.state(),
+                PageState::Requested | PageState::Filling | PageState::Leaving | PageState::Hiding
+            );
             assert!(due, "NO_LOST_WAITER: {page:?} is waited for and nothing will wake who waits");
         }
         let mut free = 0;
@@ -243,6 +264,7 @@ impl<'s> PageTable<'s> {
             self.lists.resident_count as usize,
             "resident pages are counted"
         );
+        assert_eq!(count(PageState::Hidden), self.lists.hidden_count as usize, "hidden pages are counted");
         let holding = self.pages.iter().filter(|page| page.state().holds_slot()).count();
         assert_eq!(holding + free as usize, self.slots.len(), "SLOT_HOLDS_ONE_PAGE");
     }
@@ -252,14 +274,15 @@ impl<'s> PageTable<'s> {
         debug_assert_ne!(slot, NONE, "a fault is let through only when a slot is free");
         let entry = &mut self.slots[slot as usize];
         self.lists.free_head = entry.next;
-        *entry = SlotEntry { page: page.0, ..SlotEntry::EMPTY };
+        *entry = SlotEntry { page: page.0, ..entry.cleared() };
         self.lists.free_count -= 1;
         self.pages[page.index()].set_slot(slot);
     }
 
     fn free_slot(&mut self, page: PageId) {
         let slot = self.pages[page.index()].slot();
-        self.slots[slot as usize] = SlotEntry { next: self.lists.free_head, ..SlotEntry::EMPTY };
+        let entry = &mut self.slots[slot as usize];
+        *entry = SlotEntry { next: self.lists.free_head, ..entry.cleared() };
         self.lists.free_head = slot;
         self.lists.free_count += 1;
     }
@@ -270,11 +293,19 @@ impl<'s> PageTable<'s> {
         self.lists.resident_count += 1;
     }
 
-    fn mark_leaving(&mut self, page: PageId) {
+    fn mark_leaving(&mut self, page: PageId, before: PageState) {
+        if before == PageState::Hidden {
+            self.lists.hidden_count -= 1;
+        } else {
+            self.mark_unseen(page);
+        }
+        self.lists.leaving_count += 1;
+    }
+
+    fn mark_unseen(&mut self, page: PageId) {
         let slot = self.pages[page.index()].slot();
         self.slots[slot as usize].evictable = false;
         self.lists.resident_count -= 1;
-        self.lists.leaving_count += 1;
     }
 }
 

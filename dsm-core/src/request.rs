@@ -28,6 +28,8 @@ pub struct RequestEntry {
     pub(crate) refused: u8,
     /// The peer that was asked has died or is a new node: due at once, and no timeout.
     pub(crate) is_orphan: bool,
+    /// Since the last sending, a part of the page has come that was missing.
+    pub(crate) has_advanced: bool,
     /// An answer has come, so the round trip is known.
     pub(crate) is_measured: bool,
     /// When it was sent first.
@@ -64,6 +66,7 @@ impl RequestEntry {
         asked: 0,
         refused: 0,
         is_orphan: false,
+        has_advanced: false,
         is_measured: false,
         sent_at: Instant::ZERO,
         resend_at: Instant::ZERO,
@@ -79,7 +82,7 @@ impl RequestEntry {
     pub(crate) fn fingerprint(&self, now: Instant, hasher: &mut impl Hasher) {
         (self.page, self.holder, self.port).hash(hasher);
         (self.sendings.min(2), self.tries, self.asked, self.refused).hash(hasher);
-        (self.is_orphan, self.fragments).hash(hasher);
+        (self.is_orphan, self.has_advanced, self.fragments).hash(hasher);
         (self.resend_at.since(now), self.deadline.since(now)).hash(hasher);
     }
 }
@@ -89,6 +92,11 @@ impl<'s> Requests<'s> {
     pub(crate) fn new(entries: &'s mut [RequestEntry], count: usize) -> Self {
         let count = count.min(entries.len());
         Self { entries, count }
+    }
+
+    /// Gives the lent entries back.
+    pub(crate) fn into_entries(self) -> &'s mut [RequestEntry] {
+        self.entries
     }
 
     /// Adds a request and says where it is. The caller has made sure that there is room.
@@ -127,6 +135,10 @@ impl<'s> Requests<'s> {
 
     pub(crate) fn is_full(&self) -> bool {
         self.count == self.entries.len()
+    }
+
+    pub(crate) fn capacity(&self) -> usize {
+        self.entries.len()
     }
 
     pub(crate) fn len(&self) -> usize {

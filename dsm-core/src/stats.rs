@@ -11,6 +11,10 @@ pub struct NodeStats {
     pub ready_faults: u64,
     /// Faults that had to wait because every slot was on its way in or out.
     pub full_faults: u64,
+    /// Faults that found the page hidden: it was shown, and no message was sent.
+    pub soft_faults: u64,
+    /// Pages that were hidden.
+    pub hidden_pages: u64,
     /// Requests begun, one for each page fetched.
     pub requests: u64,
     /// Requests sent again because no answer came in time.
@@ -23,6 +27,12 @@ pub struct NodeStats {
     pub dead_peers: u64,
     /// Fragments of pages that came and were stored.
     pub fragments: u64,
+    /// Pages asked for before anybody touched them.
+    pub prefetched_pages: u64,
+    /// Of those, pages that are known to have been used.
+    pub prefetch_used: u64,
+    /// Of those, pages that left and are not known to have been used.
+    pub prefetch_wasted: u64,
     /// Pages granted and put into a slot.
     pub fetched_pages: u64,
     /// Bytes of those pages.

@@ -21,32 +21,42 @@ pub struct Storage<'s> {
 
 /// What a node knows of one page, in 4 bytes. Opaque; start with [`PageEntry::EMPTY`].
 ///
-/// Bits 0..3 the state, bit 3 "somebody waits", bits 4..32 the slot.
+/// Bits 0..4 the state, bit 4 "somebody waits", bits 5..32 the slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct PageEntry(u32);
 
-/// What a node knows of one slot, in 12 bytes. Opaque; start with [`SlotEntry::EMPTY`].
+/// What a node knows of one slot, in 28 bytes. Opaque; start with [`SlotEntry::EMPTY`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct SlotEntry {
     /// The page in this slot, or [`NONE`] when it is free.
     pub(crate) page: u32,
     /// The next slot of the list this one is in: the free list, or the order of a replacement policy.
     pub(crate) next: u32,
+    /// The slot before this one, in a list that can be left from its middle.
+    pub(crate) previous: u32,
     /// The page in this slot may be chosen as a victim: it is resident, and neither coming nor leaving.
     pub(crate) evictable: bool,
-    /// The page was used since the policy last looked.
-    pub(crate) referenced: bool,
+    /// How often the page was used since the policy last looked, as far as the policy counts.
+    pub(crate) uses: u8,
+    /// The page was brought before anybody touched it, and nobody is known to have used it yet.
+    pub(crate) prefetched: bool,
+    /// A page that left not long ago, or [`NONE`]. Has nothing to do with the page that is in the slot.
+    pub(crate) ghost: u32,
+    /// Tells how long ago `ghost` left.
+    pub(crate) ghost_number: u32,
+    /// The tile that is expected to use the page next, or that used it last, in the count of all tiles.
+    pub(crate) next_use: u32,
 }
 
 /// Stands for "no page" and "no slot".
 pub(crate) const NONE: u32 = u32::MAX;
 
 /// Slots that a node can have at most: what fits the entry of a page.
-pub const SLOTS_MAX: u32 = (1 << 28) - 1;
+pub const SLOTS_MAX: u32 = (1 << 27) - 1;
 
-const STATE_MASK: u32 = 0b111;
-const WAITED_FOR: u32 = 0b1000;
-const SLOT_SHIFT: u32 = 4;
+const STATE_MASK: u32 = 0b1111;
+const WAITED_FOR: u32 = 0b1_0000;
+const SLOT_SHIFT: u32 = 5;
 
 impl PageEntry {
     /// A page that is absent and that nobody waits for.
@@ -80,7 +90,22 @@ impl PageEntry {
 
 impl SlotEntry {
     /// A free slot.
-    pub const EMPTY: Self = Self { page: NONE, next: NONE, evictable: false, referenced: false };
+    pub const EMPTY: Self = Self {
+        page: NONE,
+        next: NONE,
+        previous: NONE,
+        evictable: false,
+        uses: 0,
+        prefetched: false,
+        ghost: NONE,
+        ghost_number: 0,
+        next_use: 0,
+    };
+
+    /// A free slot that still remembers the ghost in it.
+    pub(crate) const fn cleared(&self) -> Self {
+        Self { ghost: self.ghost, ghost_number: self.ghost_number, ..Self::EMPTY }
+    }
 }
 
 #[cfg(test)]
@@ -106,8 +131,8 @@ mod tests {
     }
 
     #[test]
-    fn a_page_costs_4_bytes_and_a_slot_12() {
+    fn a_page_costs_4_bytes_and_a_slot_28() {
         assert_eq!(size_of::<PageEntry>(), 4);
-        assert_eq!(size_of::<SlotEntry>(), 12);
+        assert_eq!(size_of::<SlotEntry>(), 28);
     }
 }

@@ -31,6 +31,8 @@
 mod area;
 mod backend;
 mod failure;
+mod foresight;
+mod lent;
 mod lock;
 mod paging;
 mod probe;

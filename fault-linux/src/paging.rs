@@ -6,10 +6,10 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use dsm_core::id::{NodeId, PageId, PortId, SlotId};
-use dsm_core::node::{Config, ConfigError, EVICT_BATCH_MAX, Fault, Node, Output};
+use dsm_core::node::{Config, ConfigError, EVICT_BATCH_MAX, Fault, Node, OUTBOX, Output};
 use dsm_core::page_state::PageState;
 use dsm_core::placement::Stripes;
-use dsm_core::replacement::{Policy, PolicyKind};
+use dsm_core::replacement::{Policy, PolicyKind, ReferenceSource};
 use dsm_core::stats::NodeStats;
 use dsm_core::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
 use dsm_core::time::Instant;
@@ -19,6 +19,7 @@ use dsm_core::wire::HEADER_BYTES;
 use crate::area::Area;
 use crate::backend::{Backend, Record};
 use crate::failure::{PageFailure, Reason};
+use crate::foresight::{Ahead, Foresight};
 use crate::lock::{Guard, Lock};
 use crate::sys::{self, Errno};
 use crate::words::{Ticket, Words};
@@ -31,7 +32,11 @@ pub(crate) struct Paging {
     /// The home pages, for a backend that does not map them into the area.
     home: Option<Area>,
     config: Config,
-    policy: PolicyKind,
+    reference: ReferenceSource,
+    /// For policies that are told by hints. Locked before the node.
+    foresight: Option<Lock<Foresight>>,
+    /// Pages are brought before a tile starts.
+    prefetches: bool,
     /// Declared, and so dropped, before the storage it works in.
     node: Lock<Node<'static>>,
     _storage: LentStorage,
@@ -47,6 +52,7 @@ pub(crate) struct Work<'a> {
     /// A page that arrived, and its slot.
     pub(crate) to_fill: Option<(PageId, SlotId)>,
     victims: heapless::Vec<(PageId, SlotId), { EVICT_BATCH_MAX as usize }>,
+    to_hide: heapless::Vec<(PageId, SlotId), OUTBOX>,
     woken_pages: heapless::Vec<PageId, WOKEN_MAX>,
     wakes_slots: bool,
     ticket: Option<Ticket<'a>>,
@@ -86,16 +92,21 @@ impl Paging {
         config: Config,
         slot_count: u32,
         policy: (PolicyKind, u64),
+        (reference, prefetches): (ReferenceSource, bool),
     ) -> Result<Self, ConfigError> {
         let config = with_watermarks(config, slot_count);
         let (storage, lent) = LentStorage::lend(&config.placement, slot_count);
         let node = Node::new(config, storage, Policy::new(policy.0, policy.1))?;
+        let is_told = reference == ReferenceSource::Hints && slot_count > 0;
+        let foresight = is_told.then(|| Lock::new(Foresight::new(config.placement.page_count())));
         Ok(Self {
             area,
             backend,
             home,
             config,
-            policy: policy.0,
+            reference,
+            foresight,
+            prefetches,
             node: Lock::new(node),
             _storage: lent,
             words: Words::new(),
@@ -119,6 +130,53 @@ impl Paging {
         self.node.lock().table().slot_count()
     }
 
+    pub(crate) const fn reference(&self) -> ReferenceSource {
+        self.reference
+    }
+
+    /// A frame begins, and this node draws these tiles, in this order.
+    pub(crate) fn begin_frame(&self, order: &[u32]) {
+        if let Some(foresight) = &self.foresight {
+            foresight.lock().begin_frame(order, &mut self.node.lock());
+        }
+    }
+
+    /// A thread begins to draw a tile. Gives the pages to bring before it does, and has slots made free for them.
+    pub(crate) fn begin_tile(&self, tile: u32) -> (Ahead, Work<'_>) {
+        let mut ahead = Ahead::new();
+        let Some(foresight) = &self.foresight else { return (ahead, Work::default()) };
+        let mut foresight = foresight.lock();
+        let mut node = self.node.lock();
+        foresight.begin_tile(tile, &mut node);
+        if !self.prefetches {
+            return (ahead, Work::default());
+        }
+        foresight.absent_pages_of(tile, &node, &mut ahead);
+        drop(foresight);
+        let count = u32::try_from(ahead.len()).unwrap_or(u32::MAX);
+        let granted = node.handle_prefetch_wish(sys::now(), count);
+        ahead.truncate(granted as usize);
+        (ahead, self.finish(node))
+    }
+
+    /// Asks for a page that nobody waits for, if there is room for it; the answer comes to `port`.
+    pub(crate) fn prefetch(&self, page: PageId, port: PortId) -> Option<Work<'_>> {
+        let mut node = self.node.lock();
+        let is_asked = node.handle_prefetch(sys::now(), page, port);
+        let work = self.finish(node);
+        is_asked.then_some(work)
+    }
+
+    /// A thread has drawn a tile and used these pages, each given once.
+    pub(crate) fn end_tile(&self, tile: u32, pages: &[PageId]) {
+        if let Some(foresight) = &self.foresight {
+            let mut foresight = foresight.lock();
+            let mut node = self.node.lock();
+            pages.iter().for_each(|page| node.handle_reference(*page));
+            foresight.end_tile(tile, pages, &mut node);
+        }
+    }
+
     /// When the request for `page`, which left through `port`, wants to be looked after; `None` when it is no more
     /// under way.
     pub(crate) fn next_timeout(&self, page: PageId, port: PortId) -> Option<Instant> {
@@ -140,7 +198,7 @@ impl Paging {
         let ticket = match answer {
             Fault::Wait => Some(self.words.ticket_for_page(page)),
             Fault::Full => Some(self.words.ticket_for_slot()),
-            Fault::Ready | Fault::Fetch | Fault::Failed(_) => None,
+            Fault::Ready | Fault::Fetch | Fault::Show | Fault::Failed(_) => None,
         };
         (answer, Work { ticket, ..self.finish(node) })
     }
@@ -175,6 +233,34 @@ impl Paging {
         let mut node = self.node.lock();
         node.handle_filled(sys::now(), page);
         self.finish(node);
+        Ok(())
+    }
+
+    /// Brings a hidden page back and tells the state machine.
+    pub(crate) fn show(&self, page: PageId) -> Result<(), PageFailure> {
+        let shown = self.backend.show(&self.area, page);
+        shown.map_err(|why| self.fail(page, Reason::System(why)))?;
+        let mut node = self.node.lock();
+        node.handle_filled(sys::now(), page);
+        self.finish(node);
+        Ok(())
+    }
+
+    /// Hides what is to be hidden and tells the state machine.
+    pub(crate) fn hide(&self, work: &Work<'_>) -> Result<(), PageFailure> {
+        let Some((first, _)) = work.to_hide.first() else { return Ok(()) };
+        let hidden = self.backend.hide(&self.area, &work.to_hide);
+        hidden.map_err(|why| self.fail(*first, Reason::System(why)))?;
+        for pages in work.to_hide.chunks(WOKEN_MAX) {
+            let mut node = self.node.lock();
+            let mut woken = Work::default();
+            for (page, _) in pages {
+                node.handle_covered(sys::now(), *page);
+                woken.gather(&mut node);
+            }
+            drop(node);
+            self.wake(&woken);
+        }
         Ok(())
     }
 
@@ -240,10 +326,10 @@ impl Paging {
         self.config.placement.held_index(self.config.me, page).map(PageId)
     }
 
-    /// `clock` learns from `soft` which slots were used, when a victim is about to be chosen.
+    /// A policy learns from `soft` which slots were used, when a victim is about to be chosen.
     fn pass_on_touches(&self, node: &mut Node<'static>) {
         let Backend::Soft(soft) = &self.backend else { return };
-        if self.policy == PolicyKind::Clock && node.table().free_count() == 0 {
+        if self.reference == ReferenceSource::SoftFaults && node.table().free_count() == 0 {
             for slot in soft.take_touched() {
                 if let Some(page) = node.table().page_in(slot) {
                     node.handle_reference(page);
@@ -293,6 +379,10 @@ impl Work<'_> {
                 Output::Unmap { page, slot } => {
                     let pushed = self.victims.push((page, slot));
                     debug_assert!(pushed.is_ok(), "a batch is bounded");
+                }
+                Output::Hide { page, slot } => {
+                    let pushed = self.to_hide.push((page, slot));
+                    debug_assert!(pushed.is_ok(), "one input causes no more than fits the outbox");
                 }
                 Output::WakePage { page } => {
                     let pushed = self.woken_pages.push(page);

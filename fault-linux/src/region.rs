@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use dsm_core::id::{NodeId, PageId, PortId};
 use dsm_core::node;
-use dsm_core::replacement::PolicyKind;
+use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use dsm_core::stats::NodeStats;
 
 use crate::area::Area;
@@ -45,7 +45,13 @@ pub struct Setup {
     pub node: node::Config,
     /// Which page leaves when a slot is needed.
     pub policy: PolicyKind,
-    /// Makes `random` repeatable.
+    /// How it learns which pages are used.
+    pub reference: ReferenceSource,
+    /// How many per cent of the slots hold hidden pages, where soft faults are the source.
+    pub hidden_per_cent: u32,
+    /// With hints: bring the pages that a tile touched in the last frame before it starts.
+    pub prefetch: bool,
+    /// Makes what is random repeatable.
     pub seed: u64,
     /// Pages of other nodes that may be resident at once.
     pub slot_count: u32,
@@ -100,8 +106,10 @@ impl Region {
             }
             None => None,
         };
-        let policy = (setup.policy, setup.seed);
-        let paging = Paging::new(area, backend, home, setup.node, slot_count, policy);
+        let (policy, reference) = ((setup.policy, setup.seed), backend.reference(setup.reference));
+        let hidden_max = backend.hidden_max(reference, slot_count, setup.hidden_per_cent);
+        let node = node::Config { hidden_max, ..setup.node };
+        let paging = Paging::new(area, backend, home, node, slot_count, policy, (reference, setup.prefetch));
         Self::assemble(Kind::Paged(Box::new(paging.map_err(RegionError::Config)?)), choice)
     }
 
@@ -149,6 +157,20 @@ impl Region {
     #[must_use]
     pub fn slot_count(&self) -> u32 {
         self.paging().map_or(0, Paging::slot_count)
+    }
+
+    /// How the policy learns which pages are used: what was asked for, or what comes closest with this backend.
+    #[must_use]
+    pub fn reference(&self) -> ReferenceSource {
+        self.paging().map_or(ReferenceSource::Nothing, Paging::reference)
+    }
+
+    /// A frame begins, and this node draws these tiles, in this order. For hints; see
+    /// [`Attached::begin_tile`](crate::Attached::begin_tile).
+    pub fn begin_frame(&self, order: &[u32]) {
+        if let Some(paging) = self.paging() {
+            paging.begin_frame(order);
+        }
     }
 
     /// Length of a page in bytes.
@@ -248,7 +270,7 @@ impl Demand {
             page_bytes: setup.node.page_bytes as usize,
             slot_count: setup.slot_count,
             home_stripes: placement.held_stripes_of(setup.node.me).count(),
-            watches_touches: setup.policy == PolicyKind::Clock,
+            watches_touches: setup.reference == ReferenceSource::SoftFaults,
         }
     }
 }

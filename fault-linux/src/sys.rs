@@ -189,6 +189,18 @@ pub(crate) unsafe fn map_nothing_over(start: *mut u8, bytes: usize, protection: 
     if mapped == libc::MAP_FAILED { Err(Errno::last()) } else { Ok(()) }
 }
 
+/// Changes what may be done with pages that stay where they are.
+///
+/// # Safety
+/// The range belongs to the caller, and nobody relies on what is taken from it.
+pub(crate) unsafe fn protect(start: *mut u8, bytes: usize, protection: i32) -> Result<(), Errno> {
+    // SAFETY: the caller vouches for the range.
+    if unsafe { libc::mprotect(start.cast(), bytes, protection) } != 0 {
+        return Err(Errno::last());
+    }
+    Ok(())
+}
+
 /// Gives advice about a range that changes no byte a reader may rely on: not to fork it, not to use huge pages.
 pub(crate) fn advise(start: *mut u8, bytes: usize, advice: i32) -> Result<(), Errno> {
     debug_assert!(matches!(advice, libc::MADV_DONTFORK | libc::MADV_NOHUGEPAGE));

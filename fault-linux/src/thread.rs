@@ -76,6 +76,9 @@ struct Fetcher<T> {
 /// More faults in a row than races can explain: the page is there, and the access is none that reading allows.
 const READY_IN_A_ROW_MAX: u32 = 10_000;
 
+/// Pages that one thread has asked for ahead and not yet received; what a ring of shared memory has room for.
+const IN_FLIGHT_MAX: usize = 4;
+
 /// Nobody sleeps longer than this without looking again.
 const SLEEP_US: u64 = 50_000;
 
@@ -126,6 +129,31 @@ impl<T: Transport> Attached<T> {
             touch_byte(last);
         }
         self.check()
+    }
+
+    /// This thread begins to draw a tile of the frame that [`Region::begin_frame`] has announced.
+    ///
+    /// Tiles are numbered as the caller likes, the same in each frame. What it says here and at the end of the tile tells the
+    /// policy which pages are used, and what the last frame foretells of this one. It costs some ten nanoseconds a page of
+    /// the tile, and may be left out. Where the region prefetches, the pages that the tile touched in the last frame and
+    /// that are absent are fetched here, several at a time.
+    pub fn begin_tile(&self, tile: u32) {
+        let Some(paging) = self.region.paging() else { return };
+        let (ahead, room) = paging.begin_tile(tile);
+        if ahead.is_empty() {
+            return;
+        }
+        // SAFETY: as in `record`: this is not the handler, and nothing called from here loads from the region.
+        let worker = unsafe { &mut *self.worker.get() };
+        // What goes wrong is kept, and `check` tells of it.
+        let _ = worker.fetcher.prefetch(paging, &ahead, &room);
+    }
+
+    /// This thread has drawn a tile and used these pages, each given once.
+    pub fn end_tile(&self, tile: u32, pages: &[PageId]) {
+        if let Some(paging) = self.region.paging() {
+            paging.end_tile(tile, pages);
+        }
     }
 
     /// Tells whether every byte read so far was the scene's. A page that could not be had reads as zeros.
@@ -248,9 +276,14 @@ impl<T: Transport> Fetcher<T> {
             }
             // In the shadow of the request, if there is one.
             let evicted = paging.evict(&work)?;
+            paging.hide(&work)?;
             match answer {
                 Answer::Ready => break,
                 Answer::Fetch if self.receive(paging, page)? => break,
+                Answer::Show => {
+                    paging.show(page)?;
+                    break;
+                }
                 Answer::Fetch => {}
                 Answer::Failed(failure) => return Err(paging.fail(page, Reason::Cluster(failure))),
                 Answer::Full if evicted => {}
@@ -263,6 +296,28 @@ impl<T: Transport> Fetcher<T> {
             self.stats.miss_ns.record(sys::now_ns().saturating_sub(start_ns));
         }
         Ok(first)
+    }
+
+    /// Brings pages that nobody waits for, several at a time, once `room` has been made for them.
+    fn prefetch(&mut self, paging: &Paging, pages: &[PageId], room: &Work<'_>) -> Result<(), PageFailure> {
+        paging.evict(room)?;
+        let mut under_way = heapless::Deque::<PageId, IN_FLIGHT_MAX>::new();
+        for page in pages {
+            if under_way.is_full()
+                && let Some(first) = under_way.pop_front()
+            {
+                self.receive(paging, first)?;
+            }
+            if let Some(work) = paging.prefetch(*page, self.port) {
+                self.send(&work);
+                let pushed = under_way.push_back(*page);
+                debug_assert!(pushed.is_ok(), "room was made above");
+            }
+        }
+        while let Some(first) = under_way.pop_front() {
+            self.receive(paging, first)?;
+        }
+        Ok(())
     }
 
     /// Waits for the answer to the request that is under way and puts the page in place. Ends by the request's

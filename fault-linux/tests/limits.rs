@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Numbers, OTHER, Scene, is_child, read_word, run_in_child, word};
-use dsm_core::replacement::PolicyKind;
+use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use fault_linux::{BackendKind, Errno};
 
 /// Has the kernel refuse `userfaultfd` to this process with EPERM, as a container's profile does.
@@ -58,6 +58,9 @@ fn a_backend_asked_for_by_name_is_used_or_refused() {
         let setup = fault_linux::Setup {
             node: config,
             policy: PolicyKind::Fifo,
+            reference: ReferenceSource::Nothing,
+            hidden_per_cent: 0,
+            prefetch: false,
             seed: 0,
             slot_count: 4,
             home: None,

@@ -8,12 +8,14 @@
 
 use glam::Vec3;
 
-use crate::count::Count;
 use crate::filter::Filter;
 use crate::grid::{ClusterRef, TRIANGLES_MAX, VERTICES_MAX};
 use crate::ray::Primitive;
+use crate::simd::{LANES, Mask, Part, Simd, each, first_lanes};
 use crate::surface::Surface;
-use crate::triangle_woop::{Crossing, Sheared, WoopRay, cross};
+use crate::triangle_moller::MollerRay;
+use crate::triangle_test::TriangleTest;
+use crate::triangle_woop::{Crossing, Sheared, WoopRay, cross_at};
 
 /// The nearest hit so far; starts as a miss at `t_max`.
 ///
@@ -53,24 +55,20 @@ impl Nearest {
 /// The arrays of a cluster, borrowed from a record of [`cluster_bytes`] bytes.
 #[derive(Clone, Copy, Debug)]
 pub struct Cluster<'a> {
-    axes: [&'a [[u8; 4]]; 3],
-    corners: [&'a [u8]; 3],
+    /// The vertices' coordinates, axis after axis.
+    coordinates: &'a [[u8; 4]],
+    /// The triangles' corners, as vertices: first, second and third.
+    corners: &'a [u8],
     place: ClusterRef,
 }
 
 impl<'a> Cluster<'a> {
     /// Splits the record of the cluster at `place`, or `None` when the record is too short.
-    #[inline]
+    #[inline(always)]
     pub fn new(record: &'a [u8], place: &ClusterRef) -> Option<Self> {
         let (v4, t4) = (quads(place.vertices), quads(place.triangles));
-        let (xyz, rest) = record.split_at_checked(v4 * 12)?;
-        let abc = rest.get(..t4 * 3)?;
-        let (floats, _) = xyz.as_chunks::<4>();
-        Some(Self {
-            axes: [&floats[..v4], &floats[v4..v4 * 2], &floats[v4 * 2..]],
-            corners: [&abc[..t4], &abc[t4..t4 * 2], &abc[t4 * 2..]],
-            place: *place,
-        })
+        let (coordinates, corners) = record.split_at_checked(v4 * 12)?;
+        Some(Self { coordinates: coordinates.as_chunks().0, corners: corners.get(..t4 * 3)?, place: *place })
     }
 
     /// Where the cluster lies and how large it is.
@@ -79,15 +77,21 @@ impl<'a> Cluster<'a> {
     }
 
     /// The vertices' coordinates, by axis; a multiple of four each.
-    #[inline]
-    pub(crate) const fn axes(&self) -> [&'a [[u8; 4]]; 3] {
-        self.axes
+    #[inline(always)]
+    pub(crate) fn axes(&self) -> [&'a [[u8; 4]]; 3] {
+        let v4 = quads(self.place.vertices);
+        let (x, rest) = self.coordinates.split_at(v4);
+        let (y, z) = rest.split_at(v4);
+        [x, y, z]
     }
 
     /// The triangles' first, second and third corners, as vertices; a multiple of four each.
-    #[inline]
-    pub(crate) const fn corners(&self) -> [&'a [u8]; 3] {
-        self.corners
+    #[inline(always)]
+    pub(crate) fn corners(&self) -> [&'a [u8]; 3] {
+        let t4 = quads(self.place.triangles);
+        let (a, rest) = self.corners.split_at(t4);
+        let (b, c) = rest.split_at(t4);
+        [a, b, c]
     }
 
     /// Address-order index of triangle `index`.
@@ -98,122 +102,219 @@ impl<'a> Cluster<'a> {
     }
 
     /// Corners of triangle `index`, in grid units; a corner that the record does not have is the origin.
+    #[inline]
     pub fn triangle(&self, index: usize) -> [Vec3; 3] {
-        self.corners.map(|corners| corners.get(index).map_or(Vec3::ZERO, |&vertex| self.vertex(vertex)))
+        self.vertices_of(index).map(|vertex| self.vertex(vertex))
     }
 
-    /// Whether triangle `index` has these corners.
-    #[inline]
-    pub(crate) fn is_triangle(&self, index: usize, corners: &[Vec3; 3]) -> bool {
-        (0..3).all(|corner| {
-            let vertex = self.corners[corner].get(index).copied().unwrap_or(0);
-            self.vertex(vertex) == corners[corner]
-        })
+    /// The corners of triangle `index`, as vertices.
+    #[inline(always)]
+    pub(crate) fn vertices_of(&self, index: usize) -> [u8; 3] {
+        let t4 = quads(self.place.triangles);
+        let corner = |first: usize| self.corners.get(first + index).copied().unwrap_or(0);
+        [corner(0), corner(t4), corner(2 * t4)]
     }
 
+    /// A vertex, in grid units; one that the record does not have is the origin.
     #[inline]
-    fn vertex(&self, vertex: u8) -> Vec3 {
-        let lane = |axis: usize| {
-            self.axes[axis].get(usize::from(vertex)).map_or(0.0, |&bytes| f32::from_le_bytes(bytes))
+    pub(crate) fn vertex(&self, vertex: u8) -> Vec3 {
+        let v4 = quads(self.place.vertices);
+        let lane = |first: usize| {
+            let bytes = self.coordinates.get(first + usize::from(vertex));
+            bytes.map_or(0.0, |&bytes| f32::from_le_bytes(bytes))
         };
-        Vec3::new(lane(0), lane(1), lane(2))
+        Vec3::new(lane(0), lane(v4), lane(2 * v4))
     }
 
     /// Offers every triangle that the ray hits to `nearest`; with `ANY`, stops at the first.
     ///
     /// The plain way to the same result is [`WoopRay::intersect`] for each triangle.
-    #[inline]
-    pub fn intersect<const ANY: bool>(&self, ray: &WoopRay, nearest: &mut Nearest, count: &mut impl Count) {
-        self.intersect_filtered::<ANY>(ray, nearest, &mut (), count);
+    #[inline(always)]
+    pub(crate) fn intersect<S: Simd, const ANY: bool>(&self, s: S, ray: &WoopRay, nearest: &mut Nearest) {
+        self.intersect_filtered::<S, _, ANY>(s, ray, nearest, &mut ());
     }
 
     /// As [`intersect`](Self::intersect), for the triangles whose hits `filter` accepts.
-    pub fn intersect_filtered<const ANY: bool>(
+    #[inline(always)]
+    pub(crate) fn intersect_filtered<S: Simd, F: Filter, const ANY: bool>(
         &self,
+        s: S,
         ray: &WoopRay,
         nearest: &mut Nearest,
-        filter: &mut impl Filter,
-        count: &mut impl Count,
+        filter: &mut F,
     ) {
-        count.cluster();
-        count.triangles(u32::from(self.place.triangles));
-        let sheared = self.shear(ray, nearest.crossing.t);
-        let mut candidates = self.candidates(&sheared.sides);
-        while candidates != 0 {
-            let index = candidates.trailing_zeros() as usize;
-            candidates &= candidates - 1;
-            let [a, b, c] = self.corners.map(|corners| sheared.corner(corners[index]));
-            if let Some(crossing) = cross(a, b, c, nearest.crossing.t) {
-                let (primitive, surface) = (self.primitive(index), Surface::Triangle(self.triangle(index)));
-                if !filter.accepts(&crossing, primitive, &surface) {
-                    continue;
-                }
-                nearest.offer(crossing, primitive, surface);
-                if ANY {
-                    return;
-                }
-            }
-        }
+        s.apart(Intersect::<F, ANY> { cluster: self, ray, nearest, filter });
     }
 
-    /// Shears all vertices, and notes on which sides of the ray each lies.
-    #[inline]
-    fn shear(&self, ray: &WoopRay, t_max: f32) -> ShearedCluster {
+    /// As [`intersect_filtered`](Self::intersect_filtered), by the test of Möller and Trumbore.
+    #[inline(always)]
+    pub(crate) fn intersect_moller<S: Simd, F: Filter, const ANY: bool>(
+        &self,
+        s: S,
+        ray: &MollerRay,
+        nearest: &mut Nearest,
+        filter: &mut F,
+    ) {
+        s.apart(IntersectMoller::<F, ANY> { cluster: self, ray, nearest, filter });
+    }
+
+    /// The corners of sixteen triangles from `first` on, each by axis.
+    #[inline(always)]
+    fn corners_in_lanes<S: Simd>(&self, s: S, axes: &[[[f32; LANES]; 2]; 3], first: usize) -> [[S::F; 3]; 3] {
+        let t4 = quads(self.place.triangles);
+        let count = (t4 - first).min(LANES);
+        each!(3: [first, first + t4, first + 2 * t4], first => {
+            let index = s.bytes(&self.corners[first..][..count]);
+            [s.lookup(&axes[0], index), s.lookup(&axes[1], index), s.lookup(&axes[2], index)]
+        })
+    }
+
+    /// The vertices' coordinates by axis, in the lanes of their indices; lanes beyond are 0.
+    #[inline(always)]
+    fn axes_in_lanes<S: Simd>(&self, s: S) -> [[[f32; LANES]; 2]; 3] {
+        let mut lanes = [[[0.0; LANES]; 2]; 3];
+        for (axis, lanes) in self.axes().iter().zip(&mut lanes) {
+            for (from, lanes) in axis.chunks(LANES).zip(lanes) {
+                s.store(s.load_le(from), lanes);
+            }
+        }
+        lanes
+    }
+
+    /// Shears all vertices; exactly as [`WoopRay::shear`] does.
+    #[inline(always)]
+    fn shear<S: Simd>(&self, s: S, ray: &WoopRay) -> ShearedCluster {
         let mut sheared = ShearedCluster::ZERO;
-        let [xs, ys, zs] = ray.axes.map(|axis| self.axes[axis]);
-        let lanes = xs.len().min(ys.len()).min(zs.len()).min(LANES);
-        for lane in 0..lanes {
-            let corner = [xs[lane], ys[lane], zs[lane]].map(f32::from_le_bytes);
-            let Sheared { x, y, t } = ray.shear(corner);
-            sheared.x[lane] = x;
-            sheared.y[lane] = y;
-            sheared.t[lane] = t;
-            sheared.sides[lane] = u32::from(x < 0.0)
-                | u32::from(x > 0.0) << 1
-                | u32::from(y < 0.0) << 2
-                | u32::from(y > 0.0) << 3
-                | u32::from(t <= 0.0) << 4
-                | u32::from(t > t_max) << 5;
+        let v4 = quads(self.place.vertices);
+        let firsts = each!(3: ray.axes, axis => v4 * axis);
+        let origin = each!(3: ray.origin, value => s.splat(value));
+        let shear = each!(3: ray.shear, value => s.splat(value));
+        let mut half = 0;
+        while half < 2 && half * LANES < v4 {
+            let count = (v4 - half * LANES).min(LANES);
+            let [x, y, z] = each!(3: firsts, first => {
+                s.load_le(&self.coordinates[first + half * LANES..][..count])
+            });
+            let height = s.sub(z, origin[2]);
+            s.store(s.sub(s.sub(x, origin[0]), s.mul(shear[0], height)), &mut sheared.x[half]);
+            s.store(s.sub(s.sub(y, origin[1]), s.mul(shear[1], height)), &mut sheared.y[half]);
+            s.store(s.mul(shear[2], height), &mut sheared.t[half]);
+            half += 1;
         }
         sheared
     }
 
-    /// The triangles whose corners do not all lie on one side of the ray, one bit each.
-    #[inline]
-    fn candidates(&self, sides: &[u32; LANES]) -> u64 {
-        let count = usize::from(self.place.triangles);
-        let [Some(a), Some(b), Some(c)] = self.corners.map(|corners| corners.get(..count)) else { return 0 };
-        let mut candidates = 0;
-        for index in 0..count {
-            let common = sides[lane_of(a[index])] & sides[lane_of(b[index])] & sides[lane_of(c[index])];
-            candidates |= u64::from(common == 0) << index;
+    /// Of sixteen triangles those whose edges single precision cannot tell to pass the ray; as
+    /// [`cross`](crate::triangle_woop::cross) decides it.
+    #[inline(always)]
+    fn candidates<S: Simd>(&self, s: S, sheared: &ShearedCluster, first: usize) -> Mask {
+        let t4 = quads(self.place.triangles);
+        let count = (t4 - first).min(LANES);
+        let [a, b, c] = each!(3: [first, first + t4, first + 2 * t4], first => {
+            let index = s.bytes(&self.corners[first..][..count]);
+            [s.lookup(&sheared.x, index), s.lookup(&sheared.y, index)]
+        });
+        let weights = each!(3: [(c, b), (a, c), (b, a)], (p, q) => {
+            s.sub(s.mul(p[0], q[1]), s.mul(p[1], q[0]))
+        });
+        let zero = s.splat(0.0);
+        !(s.lt(s.min3(weights), zero) & s.lt(zero, s.max3(weights)))
+    }
+}
+
+/// A cluster to be tested, as a function of its own.
+struct Intersect<'a, F, const ANY: bool> {
+    cluster: &'a Cluster<'a>,
+    ray: &'a WoopRay,
+    nearest: &'a mut Nearest,
+    filter: &'a mut F,
+}
+
+impl<S: Simd, F: Filter, const ANY: bool> Part<S> for Intersect<'_, F, ANY> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self, s: S) {
+        let Self { cluster, ray, nearest, filter } = self;
+        let sheared = cluster.shear(s, ray);
+        let triangles = usize::from(cluster.place.triangles);
+        let mut first = 0;
+        while first < triangles {
+            let mut candidates = cluster.candidates(s, &sheared, first) & first_lanes(triangles - first);
+            while candidates != 0 {
+                let index = first + candidates.trailing_zeros() as usize;
+                candidates &= candidates - 1;
+                let [a, b, c] = each!(3: cluster.vertices_of(index), vertex => sheared.corner(vertex));
+                let Some(crossing) = cross_at(a, b, c, nearest.crossing.t) else { continue };
+                let primitive = cluster.primitive(index);
+                let surface = Surface::Triangle(cluster.triangle(index));
+                if filter.accepts(&crossing, primitive, &surface) {
+                    nearest.offer(crossing, primitive, surface);
+                    if ANY {
+                        return;
+                    }
+                }
+            }
+            first += LANES;
         }
-        candidates
+    }
+}
+
+/// A cluster to be tested by [`MollerRay`], as a function of its own.
+struct IntersectMoller<'a, F, const ANY: bool> {
+    cluster: &'a Cluster<'a>,
+    ray: &'a MollerRay,
+    nearest: &'a mut Nearest,
+    filter: &'a mut F,
+}
+
+impl<S: Simd, F: Filter, const ANY: bool> Part<S> for IntersectMoller<'_, F, ANY> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self, s: S) {
+        let Self { cluster, ray, nearest, filter } = self;
+        let axes = cluster.axes_in_lanes(s);
+        let triangles = usize::from(cluster.place.triangles);
+        let mut first = 0;
+        while first < triangles {
+            let corners = cluster.corners_in_lanes(s, &axes, first);
+            let mut candidates = ray.candidates(s, corners) & first_lanes(triangles - first);
+            while candidates != 0 {
+                let index = first + candidates.trailing_zeros() as usize;
+                candidates &= candidates - 1;
+                let corners = cluster.triangle(index);
+                let Some(crossing) = ray.intersect(corners, nearest.crossing.t) else { continue };
+                let (primitive, surface) = (cluster.primitive(index), Surface::Triangle(corners));
+                if filter.accepts(&crossing, primitive, &surface) {
+                    nearest.offer(crossing, primitive, surface);
+                    if ANY {
+                        return;
+                    }
+                }
+            }
+            first += LANES;
+        }
     }
 }
 
 /// The vertices of a cluster in the sheared space of a ray. A lane that the cluster does not have is 0.
 struct ShearedCluster {
-    x: [f32; LANES],
-    y: [f32; LANES],
-    t: [f32; LANES],
-    sides: [u32; LANES],
+    x: [[f32; LANES]; 2],
+    y: [[f32; LANES]; 2],
+    t: [[f32; LANES]; 2],
 }
 
 impl ShearedCluster {
-    const ZERO: Self = Self { x: [0.0; LANES], y: [0.0; LANES], t: [0.0; LANES], sides: [0; LANES] };
+    const ZERO: Self = Self { x: [[0.0; LANES]; 2], y: [[0.0; LANES]; 2], t: [[0.0; LANES]; 2] };
 
-    #[inline]
-    fn corner(&self, vertex: u8) -> Sheared {
-        let lane = lane_of(vertex);
-        Sheared { x: self.x[lane], y: self.y[lane], t: self.t[lane] }
+    /// A vertex; an index that no valid cluster has wraps around, so that a lie stays in bounds.
+    #[inline(always)]
+    const fn corner(&self, vertex: u8) -> Sheared {
+        let lane = vertex as usize % (2 * LANES);
+        let (half, lane) = (lane / LANES, lane % LANES);
+        Sheared { x: self.x[half][lane], y: self.y[half][lane], t: self.t[half][lane] }
     }
-}
-
-/// The lane of a vertex; an index that no valid cluster has wraps around, so that a lie stays in bounds.
-#[inline]
-fn lane_of(vertex: u8) -> usize {
-    usize::from(vertex) % LANES
 }
 
 /// Length of the record of a cluster in bytes, a multiple of 16.
@@ -228,6 +329,4 @@ pub const fn quads(count: u8) -> usize {
     (count as usize).next_multiple_of(4)
 }
 
-const LANES: usize = VERTICES_MAX as usize;
-
-const _: () = assert!(LANES.is_power_of_two() && TRIANGLES_MAX as u32 <= u64::BITS);
+const _: () = assert!(VERTICES_MAX as usize == 2 * LANES && TRIANGLES_MAX as u32 <= u64::BITS);

@@ -49,6 +49,8 @@ pub enum FrameError {
     NotFinite,
     /// Flags that this build does not know.
     Flags(u32),
+    /// Shadows are wanted, which were left out of this build.
+    Shadows,
 }
 
 impl Frame {
@@ -61,7 +63,7 @@ impl Frame {
     /// Length of a frame in bytes.
     pub const BYTES: usize = size_of::<Self>();
 
-    /// A frame of an orbit, with the orbit's light.
+    /// A frame of an orbit, with the orbit's light; with shadows, unless this build has none.
     ///
     /// # Errors
     /// When the size is out of range, or the place is so extreme that numbers overflow.
@@ -70,7 +72,7 @@ impl Frame {
             number: place.frame,
             width,
             height,
-            flags: 0,
+            flags: if cfg!(feature = "shadows") { 0 } else { Self::NO_SHADOWS },
             camera: orbit.camera(place, width, height),
             light: orbit.light(),
             shadow_offset: orbit.shadow_offset(),
@@ -91,7 +93,7 @@ impl Frame {
     /// Whether points look for what stands between them and the light.
     #[inline]
     pub const fn has_shadows(&self) -> bool {
-        self.flags & Self::NO_SHADOWS == 0
+        cfg!(feature = "shadows") && self.flags & Self::NO_SHADOWS == 0
     }
 
     /// The bytes of the frame.
@@ -113,6 +115,9 @@ impl Frame {
         if self.flags & !Self::NO_SHADOWS != 0 {
             return Err(FrameError::Flags(self.flags));
         }
+        if !cfg!(feature = "shadows") && self.flags & Self::NO_SHADOWS == 0 {
+            return Err(FrameError::Shadows);
+        }
         Ok(self)
     }
 }
@@ -125,6 +130,7 @@ impl fmt::Display for FrameError {
                 write!(f, "pictures are 1 to {} pixels wide and high, not {width}x{height}", Frame::SIZE_MAX)
             }
             Self::Flags(flags) => write!(f, "a frame with flags that this build does not know: {flags:#x}"),
+            Self::Shadows => write!(f, "a frame with shadows, which were left out of this build"),
             Self::NotFinite => write!(f, "camera or light has a coordinate that is not finite"),
         }
     }

@@ -17,7 +17,9 @@
 //! above it. A sphere is stored where its surface is: a cell inside a sphere need not know of it.
 
 use bytemuck::{Pod, Zeroable};
-use glam::Vec3;
+use glam::{Vec3, Vec4};
+
+use crate::simd::Simd;
 
 /// A cube of the grid and which of its 64 cells lead where.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
@@ -42,16 +44,22 @@ impl Branch {
         self.child.checked_add((self.inner & below(cell)).count_ones())
     }
 
+    /// Number of the run that `cell` belongs to, among those of the branch; `None` when none starts at or before
+    /// it.
+    #[inline]
+    pub const fn run_of(&self, cell: u32) -> Option<u32> {
+        (self.run_start << (63 - cell % 64)).count_ones().checked_sub(1)
+    }
+
     /// Index of the leaf of the run that `cell` belongs to, or `None` when no run starts at or before it.
     #[inline]
     pub fn leaf_of(&self, cell: u32) -> Option<u32> {
-        let started = (self.run_start & up_to(cell)).count_ones();
-        self.leaf.checked_add(started.checked_sub(1)?)
+        self.leaf.checked_add(self.run_of(cell)?)
     }
 
     /// All cells of the run that `cell` belongs to.
     #[inline]
-    pub const fn run_of(&self, cell: u32) -> u64 {
+    pub const fn cells_of_run(&self, cell: u32) -> u64 {
         let until = up_to(cell);
         let start = 63_u32.saturating_sub((self.run_start & until).leading_zeros());
         let next = self.run_start & !until;
@@ -106,6 +114,11 @@ pub struct ClusterRef {
     pub triangles: u8,
     /// Address-order index of the first triangle.
     pub first: u32,
+}
+
+impl ClusterRef {
+    /// No cluster.
+    pub(crate) const NONE: Self = Self { offset: 0, vertices: 0, triangles: 0, first: 0 };
 }
 
 /// Where a cluster of spheres lies and how large it is.
@@ -176,6 +189,18 @@ impl BoxFrame {
         Self { low: -slack, step: (cell * 4.0 + slack * 2.0) * ((1.0 + 1.0e-6) / 256.0) }
     }
 
+    /// Where coordinate 0 lies.
+    #[inline]
+    pub(crate) const fn low(&self) -> f32 {
+        self.low
+    }
+
+    /// Length of a step.
+    #[inline]
+    pub(crate) const fn step(&self) -> f32 {
+        self.step
+    }
+
     /// Lowest and highest corner of a stored box, from the branch's corner; off by the rounding of a product
     /// and a sum.
     #[inline]
@@ -184,6 +209,15 @@ impl BoxFrame {
         let low = Vec3::new(x0, y0, z0) * self.step + self.low;
         let high = Vec3::new(x1 + 1.0, y1 + 1.0, z1 + 1.0) * self.step + self.low;
         (low, high)
+    }
+
+    /// As [`decode`](Self::decode), of a leaf's box; the fourth lanes are anything finite.
+    #[inline(always)]
+    pub(crate) fn decode_leaf<S: Simd>(&self, s: S, leaf: &Leaf) -> (Vec4, Vec4) {
+        let bytes = s.array(s.to_float(s.bytes(bytemuck::bytes_of(leaf))));
+        let low = Vec4::new(bytes[8], bytes[9], bytes[10], bytes[11]);
+        let high = Vec4::new(bytes[11], bytes[12], bytes[13], bytes[14]) + 1.0;
+        (low * self.step + self.low, high * self.step + self.low)
     }
 
     /// The smallest storable box that contains the part of `low..=high` inside the frame, both from the
@@ -220,6 +254,18 @@ impl BoxFrame {
 pub const fn cell_coordinates(cell: u32) -> [u32; 3] {
     [(cell & 1) | (cell >> 2 & 2), (cell >> 1 & 1) | (cell >> 3 & 2), (cell >> 2 & 1) | (cell >> 4 & 2)]
 }
+
+/// [`cell_coordinates`] of all cells, in the first three lanes.
+pub(crate) const CELL_CORNERS: [Vec4; 64] = {
+    let mut corners = [Vec4::ZERO; 64];
+    let mut cell = 0;
+    while cell < 64 {
+        let [x, y, z] = cell_coordinates(cell);
+        corners[cell as usize] = Vec4::new(x as f32, y as f32, z as f32, 0.0);
+        cell += 1;
+    }
+    corners
+};
 
 /// Morton index of the cell at coordinates in `0..4`.
 #[inline]
@@ -313,8 +359,8 @@ mod tests {
             child: 10,
             leaf: 20,
         };
-        assert_eq!(branch.run_of(5), cells(&[1, 2, 5, 7]));
-        assert_eq!(branch.run_of(63), cells(&[9, 63]));
+        assert_eq!(branch.cells_of_run(5), cells(&[1, 2, 5, 7]));
+        assert_eq!(branch.cells_of_run(63), cells(&[9, 63]));
         assert_eq!(
             (branch.leaf_of(1), branch.leaf_of(7), branch.leaf_of(63)),
             (Some(20), Some(20), Some(21))

@@ -5,12 +5,13 @@
 use glam::{Vec3, Vec4};
 
 use crate::cluster::Nearest;
-use crate::grid::{BoxFrame, FLIP_AXIS, GridShape};
+use crate::grid::{BoxFrame, FLIP_AXIS, GridShape, Leaf, cell_coordinates};
 use crate::image::Header;
 use crate::kinds::Kinds;
 use crate::ray::{Hit, Primitive, Ray};
 use crate::scale::{Scale, exponent_of, power_of_two};
 use crate::shade;
+use crate::simd::{LANES, Mask, Simd, each};
 use crate::sphere::SphereRay;
 use crate::surface::Surface;
 use crate::triangle_test::TriangleTest;
@@ -22,16 +23,26 @@ use crate::triangle_woop::{Crossing, WoopRay};
 pub struct GridRay {
     origin: Vec3,
     direction: Vec3,
-    /// One over the direction, tiny components replaced.
-    inverse: Vec3,
-    /// Padding of cells and of boxes, as lengths of `t`.
-    cell_pad: Vec3,
-    box_pad: Vec3,
+    cull: Culling,
     /// Axes along which the ray runs backwards, as bits of a cell index.
     flip: u32,
     t_max: f32,
-    /// From grid `t` to the caller's `t`.
-    caller_from_grid: Scale,
+    /// Exponent of the scale from grid `t` to the caller's `t`.
+    caller_from_grid: i32,
+}
+
+/// What culling needs of a ray. The fourth lanes are 0.
+#[derive(Clone, Copy, Debug)]
+struct Culling {
+    origin: Vec4,
+    /// One over the direction, tiny components replaced; and its size.
+    inverse: Vec4,
+    inverse_abs: Vec4,
+    /// Axes along which the ray runs backwards: 1, else 0.
+    backwards: Vec4,
+    /// Padding of cells and of boxes, as lengths of `t`.
+    cell_pad: Vec4,
+    box_pad: Vec4,
 }
 
 impl GridRay {
@@ -44,7 +55,7 @@ impl GridRay {
 
     /// A ray whose origin is in grid units and whose direction and `t_max` are such that `scale` takes them
     /// there.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn new(
         origin: Vec3,
         direction: Vec3,
@@ -52,29 +63,41 @@ impl GridRay {
         scale: Scale,
         grid: &GridShape,
     ) -> Option<Self> {
-        let reach = (origin - grid.origin).abs() + grid.size;
-        let longest = direction.abs().max_element();
+        let size = Vec4::new(grid.size, grid.size, grid.size, 0.0);
+        let reach = (origin - grid.origin).extend(0.0).abs() + size;
+        let (farthest, longest) = (reach.max_element(), direction.extend(0.0).abs().max_element());
         // Comparisons are written so that a NaN anywhere fails them.
-        let usable = reach.max_element() < REACH_MAX && direction.is_finite() && longest > 0.0 && t_max > 0.0;
-        if !usable || !reach.is_finite() {
+        let usable = reach.cmplt(Vec4::splat(REACH_MAX)).all()
+            && direction.extend(0.0).abs().cmplt(Vec4::splat(f32::INFINITY)).all()
+            && longest > 0.0
+            && t_max > 0.0;
+        if !usable {
             return None;
         }
         let normalise = Scale::new(-exponent_of(longest));
         let direction = normalise.apply_to(direction);
-        let caller_from_grid = Scale::new(normalise.exponent() - scale.exponent());
-        let tiny = power_of_two(-60);
-        let inverse =
-            Vec3::from(direction.to_array().map(|d| 1.0 / if d.abs() < tiny { tiny.copysign(d) } else { d }));
-        let allowance = reach * power_of_two(-18) + reach.max_element() * power_of_two(-46);
-        let negative = |axis: usize| if inverse[axis] < 0.0 { FLIP_AXIS[axis] } else { 0 };
+        let caller_from_grid = normalise.exponent() - scale.exponent();
+        let tiny = Vec4::splat(power_of_two(-60));
+        let along = direction.extend(1.0);
+        let along = Vec4::select(along.abs().cmplt(tiny), tiny.copysign(along), along);
+        let inverse = (Vec4::ONE / along).with_w(0.0);
+        let inverse_abs = inverse.abs();
+        let allowance = reach * power_of_two(-18) + Vec4::splat(farthest * power_of_two(-46));
+        let backwards = inverse.cmplt(Vec4::ZERO);
+        let negative = |axis: usize| if backwards.test(axis) { FLIP_AXIS[axis] } else { 0 };
         Some(Self {
             origin,
             direction,
-            inverse,
-            cell_pad: (allowance + grid.slack) * inverse.abs(),
-            box_pad: allowance * inverse.abs(),
+            cull: Culling {
+                origin: origin.extend(0.0),
+                inverse,
+                inverse_abs,
+                backwards: Vec4::select(backwards, Vec4::ONE, Vec4::ZERO),
+                cell_pad: (allowance + Vec4::splat(grid.slack)) * inverse_abs,
+                box_pad: allowance * inverse_abs,
+            },
             flip: negative(0) | negative(1) | negative(2),
-            t_max: caller_from_grid.inverse().apply(t_max),
+            t_max: Scale::new(-caller_from_grid).apply(t_max),
             caller_from_grid,
         })
     }
@@ -128,57 +151,89 @@ impl GridRay {
             Surface::Sphere(sphere) if K::SPHERES => self.sphere_ray().normal(sphere),
             _ => return None,
         };
-        Some(Hit { t: self.caller_from_grid.apply(t), u, v, primitive, normal })
+        Some(Hit { t: Scale::new(self.caller_from_grid).apply(t), u, v, primitive, normal })
     }
 
-    /// The cells of the branch at `corner` that the ray enters before `t_max`, in Morton order.
+    /// The cells of the branch at `corner` that the ray enters before `t_max`, one bit each. *Flipped*: counted along
+    /// the ray, so that the lowest is the nearest.
     ///
-    /// Vector types are used here as four independent lanes, which round like scalars.
-    #[inline]
-    pub(crate) fn cells_entered(&self, corner: Vec3, cell: f32, t_max: f32) -> u64 {
-        let start = (corner - self.origin) * self.inverse;
-        let step = self.inverse * cell;
-        let slabs = |axis: usize, lanes: [f32; 4]| {
-            let near_plane = Vec4::splat(start[axis]) + Vec4::from_array(lanes) * step[axis];
-            let far_plane = near_plane + step[axis];
-            let pad = self.cell_pad[axis];
-            (near_plane.min(far_plane) - pad, near_plane.max(far_plane) + pad)
-        };
-        let x = [slabs(0, [0.0, 1.0, 0.0, 1.0]), slabs(0, [2.0, 3.0, 2.0, 3.0])];
-        let y = [slabs(1, [0.0, 0.0, 1.0, 1.0]), slabs(1, [2.0, 2.0, 3.0, 3.0])];
-        let (z_enter, z_exit) = slabs(2, [0.0, 1.0, 2.0, 3.0]);
-        let (z_enter, z_exit) =
-            (z_enter.max(Vec4::ZERO).to_array(), z_exit.min(Vec4::splat(t_max)).to_array());
-        let mut cells = 0;
-        for (high, (x, y)) in [(x[0], y[0]), (x[1], y[0]), (x[0], y[1]), (x[1], y[1])].into_iter().enumerate()
-        {
-            let (enter, exit) = (x.0.max(y.0), x.1.min(y.1));
-            for z in 0..4 {
-                let entered = enter.max(Vec4::splat(z_enter[z])).cmple(exit.min(Vec4::splat(z_exit[z])));
-                cells |= u64::from(entered.bitmask()) << (8 * high + 4 * (z & 1) + 32 * (z >> 1));
-            }
-        }
-        cells
+    /// Vector types of four are used here and below as independent lanes, which round like scalars.
+    #[inline(always)]
+    pub(crate) fn cells_entered<S: Simd>(&self, s: S, corner: Vec4, cell: f32, t_max: f32) -> u64 {
+        let Culling { origin, inverse, inverse_abs, backwards, cell_pad, .. } = self.cull;
+        // The corner of the branch where the ray comes in; cells count from there.
+        let corner = corner + backwards * (cell * 4.0);
+        let start = (corner - origin) * inverse - cell_pad;
+        let step = inverse_abs * cell;
+        let width = step + (cell_pad + cell_pad);
+        let x = slab(s, &COORDINATES[0], start.x, step.x, width.x);
+        let (enter, exit) = (s.max(x[0], s.splat(0.0)), s.min(x[1], s.splat(t_max)));
+        let y = each!(2: [1, 2], row => slab(s, &COORDINATES[row], start.y, step.y, width.y));
+        let z = each!(2: [3, 4], row => slab(s, &COORDINATES[row], start.z, step.z, width.z));
+        let enter = each!(2: y, [from, _] => s.max(enter, from));
+        let exit = each!(2: y, [_, to] => s.min(exit, to));
+        of_quarters([
+            s.le(s.max(enter[0], z[0][0]), s.min(exit[0], z[0][1])),
+            s.le(s.max(enter[1], z[0][0]), s.min(exit[1], z[0][1])),
+            s.le(s.max(enter[0], z[1][0]), s.min(exit[0], z[1][1])),
+            s.le(s.max(enter[1], z[1][0]), s.min(exit[1], z[1][1])),
+        ])
     }
 
     /// Where the ray enters the padded cell with its lowest corner at `corner`.
-    #[inline]
-    pub(crate) fn t_enter(&self, corner: Vec3, cell: f32) -> f32 {
-        let (a, b) = ((corner - self.origin) * self.inverse, (corner + cell - self.origin) * self.inverse);
-        (a.min(b) - self.cell_pad).max_element()
+    #[inline(always)]
+    pub(crate) fn t_enter(&self, corner: Vec4, cell: f32) -> f32 {
+        let Culling { origin, inverse, backwards, cell_pad, .. } = self.cull;
+        ((corner + backwards * cell - origin) * inverse - cell_pad).max_element()
     }
 
-    /// Whether the ray enters a leaf's box before `t_max`; the box as stored in the frame of the branch at
-    /// `corner`.
-    #[inline]
-    pub(crate) fn enters_box(&self, corner: Vec3, frame: &BoxFrame, bounds: [u8; 6], t_max: f32) -> bool {
-        let (low, high) = frame.decode(bounds);
-        let corner = corner - self.origin;
-        let (a, b) = ((corner + low) * self.inverse, (corner + high) * self.inverse);
-        let enter = (a.min(b) - self.box_pad).max_element().max(0.0);
-        let exit = (a.max(b) + self.box_pad).min_element().min(t_max);
-        enter <= exit
+    /// Whether the ray enters the box of a leaf of the branch at `corner` before `t_max`.
+    #[inline(always)]
+    pub(crate) fn enters_box<S: Simd>(
+        &self,
+        s: S,
+        corner: Vec4,
+        frame: &BoxFrame,
+        leaf: &Leaf,
+        t_max: f32,
+    ) -> bool {
+        let Culling { origin, inverse, box_pad, .. } = self.cull;
+        let (low, high) = frame.decode_leaf(s, leaf);
+        let corner = corner - origin;
+        let (a, b) = ((corner + low) * inverse, (corner + high) * inverse);
+        // In the fourth lanes: 0 and `t_max`.
+        let enter = a.min(b) - box_pad;
+        let exit = (a.max(b) + box_pad).with_w(t_max);
+        enter.max_element() <= exit.min_element()
     }
+}
+
+/// When a ray enters and leaves the slabs between two padded faces of cells with these coordinates.
+#[inline(always)]
+fn slab<S: Simd>(s: S, coordinates: &[f32; LANES], start: f32, step: f32, width: f32) -> [S::F; 2] {
+    let enter = s.add(s.mul(s.load(coordinates), s.splat(step)), s.splat(start));
+    [enter, s.add(enter, s.splat(width))]
+}
+
+/// The bits of 64 cells, sixteen at a time.
+#[inline(always)]
+fn of_quarters([a, b, c, d]: [Mask; 4]) -> u64 {
+    (u64::from(a) | u64::from(b) << 16) | (u64::from(c) << 32 | u64::from(d) << 48)
+}
+
+/// Coordinates of cells in Morton order: x of each sixteen, y of the first and second, z of the first and third.
+const COORDINATES: [[f32; LANES]; 5] =
+    [coordinates(0, 0), coordinates(0, 1), coordinates(16, 1), coordinates(0, 2), coordinates(32, 2)];
+
+/// The coordinates along `axis` of sixteen cells from `first` on.
+const fn coordinates(first: u32, axis: usize) -> [f32; LANES] {
+    let mut coordinates = [0.0; LANES];
+    let mut lane = 0;
+    while lane < 16 {
+        coordinates[lane as usize] = cell_coordinates(first + lane)[axis] as f32;
+        lane += 1;
+    }
+    coordinates
 }
 
 /// A ray whose origin is farther from the grid than this, in grid units, misses: corners can no longer be

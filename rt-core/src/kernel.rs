@@ -10,8 +10,8 @@ use crate::simd::{Lanes, LanesError};
 pub enum Kernel {
     /// A tile at a time, as one beam; see [`Lanes`].
     Beams(Lanes),
-    /// One ray after the other: the plain way, and the oracle.
-    Rays,
+    /// One ray after the other, which tests sixteen cells or triangles at once.
+    Rays(Lanes),
 }
 
 impl Kernel {
@@ -20,31 +20,60 @@ impl Kernel {
         Self::Beams(Lanes::widest())
     }
 
-    /// All kernels that this processor can run, the fastest last.
-    pub fn available() -> impl Iterator<Item = Self> {
-        core::iter::once(Self::Rays).chain(Lanes::available().map(Self::Beams))
+    /// Rays with the widest lanes that this processor has. Asks the processor; keep the answer.
+    pub fn rays() -> Self {
+        Self::Rays(Lanes::widest())
     }
 
-    /// The name that [`FromStr`] takes: `rays`, or that of the lanes.
-    pub const fn name(self) -> &'static str {
+    /// All kernels that this processor can run, the fastest last.
+    pub fn available() -> impl Iterator<Item = Self> {
+        Lanes::available().map(Self::Rays).chain(Lanes::available().map(Self::Beams))
+    }
+
+    /// The name that [`FromStr`] takes: that of the lanes, with `rays-` before it for rays.
+    pub fn name(self) -> &'static str {
         match self {
             Self::Beams(lanes) => lanes.name(),
-            Self::Rays => "rays",
+            Self::Rays(lanes) => RAYS.into_iter().find(|name| name.ends_with(lanes.name())).unwrap_or("rays"),
         }
     }
 }
 
-/// Takes `rays`, `portable`, `avx2` or `avx512`.
+/// Names of rays with each of the lanes.
+const RAYS: [&str; 3] = ["rays-portable", "rays-avx2", "rays-avx512"];
+
+/// Takes `portable`, `avx2` or `avx512` for beams, with `rays-` before it for rays; and `rays` for rays with the
+/// widest lanes that there are.
 impl FromStr for Kernel {
     type Err = LanesError;
 
     fn from_str(name: &str) -> Result<Self, LanesError> {
-        if name == "rays" { Ok(Self::Rays) } else { name.parse().map(Self::Beams) }
+        match name.strip_prefix("rays") {
+            Some("") => Ok(Self::rays()),
+            Some(lanes) => lanes.strip_prefix('-').ok_or(LanesError::Unknown)?.parse().map(Self::Rays),
+            None => name.parse().map(Self::Beams),
+        }
     }
 }
 
 impl fmt::Display for Kernel {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_kernel_is_found_by_its_name() {
+        for kernel in Kernel::available() {
+            assert_eq!(kernel.name().parse(), Ok(kernel), "{kernel}");
+        }
+        assert_eq!("rays".parse(), Ok(Kernel::rays()));
+        for name in ["rays-", "raysportable", "rays-avx1024", ""] {
+            assert_eq!(name.parse::<Kernel>(), Err(LanesError::Unknown), "{name}");
+        }
     }
 }

@@ -16,7 +16,8 @@
 //! # What a scene does not need
 //! A scene of triangles runs no instruction for spheres, nor the other way round ([`kinds`]). The features
 //! `triangles` and `spheres`, both on by default, remove a kind from the binary altogether; an image that needs
-//! what was left out is refused by its header.
+//! what was left out is refused by its header. Likewise `shadows`, which frames may want, and `lanes-avx2` and
+//! `lanes-avx512`, without which narrower lanes give the same bits.
 //!
 //! Embedders also find [any hits](SceneView::any), [packets of 16 rays](SceneView::nearest16) under a mask,
 //! [filters](SceneView::nearest_filtered) that pass hits through, and [other triangle tests](triangle_test).
@@ -54,6 +55,7 @@ extern crate std;
 compile_error!("a scene image is little-endian and read in place; big-endian targets are not supported");
 
 mod beam;
+mod blocks;
 pub mod brute;
 pub mod camera;
 pub mod cluster;

@@ -5,10 +5,9 @@ use crate::tile::{TileId, Tiles};
 /// A fixed assignment of tiles to nodes, the same in every frame.
 ///
 /// # Shape
-/// Blocks of 2x2 tiles, so that a node's pages serve neighbouring tiles, are dealt to the nodes in turn along
-/// each row; every row begins a stride further on. The stride has no common divisor with the number of nodes
-/// and is close to the golden section of it, so a node's blocks are spread evenly in all directions, and
-/// costly parts of the picture are shared out.
+/// Tiles are dealt to the nodes in turn along each row; every row begins a stride further on. The stride has no
+/// common divisor with the number of nodes and is close to the golden section of it, so a node's tiles are spread
+/// evenly in all directions, and costly parts of the picture are shared out.
 ///
 /// # Invariants
 /// Every tile belongs to exactly one node; which one depends on the picture's size and the number of nodes
@@ -30,18 +29,64 @@ impl Static {
     /// The node, in `0..nodes`, that draws a tile.
     pub fn node_of(&self, TileId(id): TileId) -> u32 {
         let columns = self.tiles.columns().max(1);
-        let (x, y) = (u64::from(id % columns / BLOCK), u64::from(id / columns / BLOCK));
+        let (x, y) = (u64::from(id % columns), u64::from(id / columns));
         let node = (x + y * u64::from(self.stride)) % u64::from(self.nodes);
         #[expect(clippy::cast_possible_truncation, reason = "a remainder below a u32")]
         let node = node as u32;
         node
     }
 
-    /// The tiles that `node` draws, in order.
+    /// The tiles that `node` draws, in the order in which it does in this frame.
+    ///
+    /// They lie on a Hilbert curve, so that tiles drawn soon after each other are neighbours and touch the same pages. Odd
+    /// frames run along it backwards: a frame begins where the one before ended, with the pages that are
+    /// still there. In rows, and always forwards, a cache of 16 % misses up to twice as often; see `bench -- replacement`.
+    pub fn drawing_order(&self, node: u32, frame: u32) -> impl Iterator<Item = TileId> + use<> {
+        let schedule = *self;
+        let (columns, rows) = (self.tiles.columns(), self.tiles.rows());
+        let order = columns.max(rows).next_power_of_two().trailing_zeros();
+        let length = 1_u64 << (2 * order);
+        (0..length).filter_map(move |step| {
+            let place = if frame.is_multiple_of(2) { step } else { length - 1 - step };
+            let (x, y) = on_hilbert_curve(order, place);
+            let id = TileId(y * columns + x);
+            (x < columns && y < rows && schedule.node_of(id) == node).then_some(id)
+        })
+    }
+
+    /// The tiles that `node` draws, row by row.
     pub fn tiles_of(&self, node: u32) -> impl Iterator<Item = TileId> + use<> {
         let schedule = *self;
         self.tiles.ids().filter(move |&tile| schedule.node_of(tile) == node)
     }
+}
+
+/// Where place `place` of the Hilbert curve through a square of `2^order` by `2^order` lies.
+///
+/// Two bits of the place, the highest first, choose a quarter; each quarter holds the curve mirrored and turned so that
+/// the ends meet. Hilbert, "Ueber die stetige Abbildung einer Linie auf ein Flaechenstueck", 1891.
+const fn on_hilbert_curve(order: u32, place: u64) -> (u32, u32) {
+    let (mut x, mut y) = (0, 0);
+    let mut level = 0;
+    while level < order {
+        let quarter = (place >> (2 * level)) & 3;
+        let (right, down) = (quarter >> 1 == 1, (quarter ^ (quarter >> 1)) & 1 == 1);
+        let side = 1_u32 << level;
+        if !down {
+            if right {
+                (x, y) = (side - 1 - x, side - 1 - y);
+            }
+            (x, y) = (y, x);
+        }
+        if right {
+            x += side;
+        }
+        if down {
+            y += side;
+        }
+        level += 1;
+    }
+    (x, y)
 }
 
 /// The number closest to `nodes` times the golden section that shares no divisor with `nodes`.
@@ -57,9 +102,6 @@ fn greatest_common_divisor(mut a: u32, mut b: u32) -> u32 {
     }
     a
 }
-
-/// Edge of a block in tiles.
-const BLOCK: u32 = 2;
 
 #[cfg(test)]
 mod tests {
@@ -84,6 +126,38 @@ mod tests {
     }
 
     #[test]
+    fn a_node_draws_each_of_its_tiles_once_and_backwards_in_odd_frames() {
+        for (width, height) in [(1, 1), (512, 512), (640, 96), (17, 400)] {
+            let tiles = Tiles::of(width, height);
+            for nodes in [1, 3, 4] {
+                let schedule = Static::new(tiles, nodes);
+                for node in 0..nodes {
+                    let forwards: std::vec::Vec<_> = schedule.drawing_order(node, 0).collect();
+                    let mut backwards: std::vec::Vec<_> = schedule.drawing_order(node, 7).collect();
+                    backwards.reverse();
+                    assert_eq!(forwards, backwards);
+                    let mut sorted = forwards;
+                    sorted.sort_unstable();
+                    assert!(
+                        sorted.into_iter().eq(schedule.tiles_of(node)),
+                        "{width}x{height}, {nodes} nodes"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn tiles_drawn_after_each_other_are_neighbours() {
+        let tiles = Tiles::of(512, 512);
+        let order: std::vec::Vec<_> = Static::new(tiles, 1).drawing_order(0, 0).collect();
+        for pair in order.windows(2) {
+            let [(ax, ay), (bx, by)] = [pair[0], pair[1]].map(|TileId(id)| (id % 32, id / 32));
+            assert_eq!(ax.abs_diff(bx) + ay.abs_diff(by), 1, "{pair:?}");
+        }
+    }
+
+    #[test]
     fn no_node_has_much_more_than_its_share() {
         let tiles = Tiles::of(512, 512);
         for nodes in 1..=16 {
@@ -95,14 +169,13 @@ mod tests {
     }
 
     #[test]
-    fn tiles_of_a_block_stay_together_and_neighbouring_blocks_do_not() {
+    fn neighbours_belong_to_different_nodes() {
         let tiles = Tiles::of(512, 512);
         for nodes in 2..=16 {
             let schedule = Static::new(tiles, nodes);
             let at = |x: u32, y: u32| schedule.node_of(TileId(y * tiles.columns() + x));
-            assert_eq!([at(4, 6), at(5, 6), at(4, 7)], [at(5, 7); 3]);
-            assert_ne!(at(4, 6), at(6, 6));
-            assert_ne!(at(4, 6), at(4, 8));
+            assert_ne!(at(4, 6), at(5, 6));
+            assert_ne!(at(4, 6), at(4, 7));
         }
     }
 

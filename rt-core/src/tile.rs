@@ -1,8 +1,11 @@
 //! Tiles: how a picture is cut, and how one is drawn.
 
+use core::marker::PhantomData;
+
 use glam::Vec3;
 
 use crate::beam;
+use crate::blocks::{BLOCKS, ByBlock, block_and_lane};
 use crate::count::{Count, TileCounts};
 use crate::frame::Frame;
 use crate::grid_ray::GridRay;
@@ -11,11 +14,12 @@ use crate::kinds::{ForKinds, Kinds, dispatch};
 use crate::memory::SceneMemory;
 use crate::scale::Scale;
 use crate::shade::{self, LitPoint};
+use crate::simd::{LANES, Simd, Task};
 use crate::view::{Damaged, SceneView};
 use crate::walk::walk;
 
 /// Edge of a tile in pixels; tiles at the right and lower edge of a picture may be smaller.
-pub const TILE_SIZE: u32 = 16;
+pub const TILE_SIZE: u32 = 32;
 
 /// Number of a tile, row by row from the upper left.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -87,7 +91,7 @@ impl Tile {
 /// Draws one tile: a grey byte per pixel, row by row, into `pixels`.
 ///
 /// Each pixel is one ray from the eye, flat shading, and a hard shadow of the point light. The bytes depend
-/// on the scene and the frame alone, not on the kernel. Beams take some 60 KB of stack. They know triangles only: a
+/// on the scene and the frame alone, not on the kernel. Beams take some 200 KB of stack. They know triangles only: a
 /// scene with spheres is drawn by rays.
 ///
 /// # Edge cases
@@ -128,12 +132,34 @@ impl<M: SceneMemory, C: Count> ForKinds for DrawTile<'_, M, C> {
             }
             _ => None,
         };
-        by_beams.unwrap_or_else(|| draw_by_rays::<M, C, K>(view, tile, pixels, work))
+        let (Kernel::Beams(lanes) | Kernel::Rays(lanes)) = kernel;
+        by_beams
+            .unwrap_or_else(|| lanes.run(DrawByRays { view, tile, pixels, work, kinds: PhantomData::<K> }))
     }
 }
 
-/// Draws a tile one ray after the other.
-fn draw_by_rays<M: SceneMemory, C: Count, K: Kinds>(
+/// A tile, to be drawn one ray after the other.
+struct DrawByRays<'a, M, C, K> {
+    view: &'a TileView<'a, M>,
+    tile: Tile,
+    pixels: &'a mut [u8],
+    work: &'a mut C,
+    kinds: PhantomData<K>,
+}
+
+impl<M: SceneMemory, C: Count, K: Kinds> Task for DrawByRays<'_, M, C, K> {
+    type Output = TileCounts;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) -> TileCounts {
+        let Self { view, tile, pixels, work, .. } = self;
+        draw_by_rays::<S, M, C, K>(s, view, tile, pixels, work)
+    }
+}
+
+#[inline(always)]
+fn draw_by_rays<S: Simd, M: SceneMemory, C: Count, K: Kinds>(
+    s: S,
     view: &TileView<'_, M>,
     tile: Tile,
     pixels: &mut [u8],
@@ -145,11 +171,13 @@ fn draw_by_rays<M: SceneMemory, C: Count, K: Kinds>(
         let row_direction = frame.camera.row(tile.y + y);
         for (x, pixel) in (0_u32..).zip(row) {
             let direction = frame.camera.direction(row_direction, tile.x + x);
-            let grey = painter.grey::<K>((x as usize, y as usize), direction).unwrap_or_else(|_| {
-                painter.counts.damaged += 1;
-                shade::BACKGROUND
+            *pixel = shade::byte(match painter.grey::<S, K>(s, (x as usize, y as usize), direction) {
+                Ok(grey) => grey,
+                Err(_) => {
+                    painter.counts.damaged += 1;
+                    shade::BACKGROUND
+                }
             });
-            *pixel = shade::byte(grey);
         }
     }
     let t_sum = painter.depths.sum(scene.header().scale().inverse());
@@ -178,21 +206,21 @@ impl<'a, M: SceneMemory> TileView<'a, M> {
     }
 }
 
-/// Depths of the pixels of a tile in grid units, by block of 4x4 pixels; 0 where nothing is hit.
-pub(crate) struct Depths([[f32; 16]; 16]);
+/// Depths of the pixels of a tile in grid units; 0 where nothing is hit.
+pub(crate) struct Depths(ByBlock<f32>);
 
 impl Depths {
     pub(crate) const fn new() -> Self {
-        Self([[0.0; 16]; 16])
+        Self([[0.0; LANES]; BLOCKS])
     }
 
-    pub(crate) const fn block(&mut self, block: usize) -> &mut [f32; 16] {
+    pub(crate) const fn block(&mut self, block: usize) -> &mut [f32; LANES] {
         &mut self.0[block]
     }
 
     /// Sum of all depths, in world units; always added in the same order.
     pub(crate) fn sum(&self, world_from_grid: Scale) -> f64 {
-        let mut sums = [0.0; 16];
+        let mut sums = [0.0; LANES];
         for block in &self.0 {
             for (sum, &t) in sums.iter_mut().zip(block) {
                 *sum += f64::from(world_from_grid.apply(t));
@@ -212,33 +240,39 @@ struct Painter<'a, M, C> {
 
 impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
     /// Grey of the pixel at `(x, y)` of the tile, whose ray goes along `direction`.
-    #[inline]
-    fn grey<K: Kinds>(&mut self, (x, y): (usize, usize), direction: Vec3) -> Result<f32, Damaged> {
+    #[inline(always)]
+    fn grey<S: Simd, K: Kinds>(
+        &mut self,
+        s: S,
+        (x, y): (usize, usize),
+        direction: Vec3,
+    ) -> Result<f32, Damaged> {
         let &TileView { scene, eye, light, shadow_offset, .. } = self.view;
         self.counts.primary += 1;
         // In grid units throughout: `t` here is in grid lengths of the direction.
         let Some(ray) = GridRay::new(eye, direction, f32::INFINITY, Scale::ONE, &scene.header().grid) else {
             return Ok(shade::BACKGROUND);
         };
-        let nearest = walk::<M, C, K, false>(scene, &ray, self.work)?;
+        let nearest = walk::<S, M, C, K, false>(s, scene, &ray, self.work)?;
         let Some(hit) = ray.hit::<K>(&nearest) else { return Ok(shade::BACKGROUND) };
         self.counts.hits += 1;
-        self.depths.block(y / 4 * 4 + x / 4)[y % 4 * 4 + x % 4] = hit.t;
+        let (block, lane) = block_and_lane(x, y);
+        self.depths.block(block)[lane] = hit.t;
         let at = eye + direction * hit.t;
         match LitPoint::new(at, hit.normal, direction, light, shadow_offset) {
-            Some(point) if !self.view.frame.has_shadows() || self.reaches_light::<K>(&point)? => {
+            Some(point) if !self.view.frame.has_shadows() || self.reaches_light::<S, K>(s, &point)? => {
                 Ok(point.lit_grey())
             }
             _ => Ok(shade::SHADOW),
         }
     }
 
-    #[inline]
-    fn reaches_light<K: Kinds>(&mut self, point: &LitPoint) -> Result<bool, Damaged> {
+    #[inline(always)]
+    fn reaches_light<S: Simd, K: Kinds>(&mut self, s: S, point: &LitPoint) -> Result<bool, Damaged> {
         self.counts.shadow += 1;
         let scene = self.view.scene;
         let blocked = match GridRay::new(point.point, point.to_light, 1.0, Scale::ONE, &scene.header().grid) {
-            Some(ray) => walk::<M, C, K, true>(scene, &ray, self.work)?.surface.is_some(),
+            Some(ray) => walk::<S, M, C, K, true>(s, scene, &ray, self.work)?.surface.is_some(),
             None => false,
         };
         self.counts.lit += u64::from(!blocked);

@@ -16,7 +16,8 @@
 
 use glam::Vec3;
 
-use crate::triangle_test::TriangleTest;
+use crate::simd::{Mask, Simd, each};
+use crate::triangle_test::{InLanes, TriangleTest};
 use crate::triangle_woop::Crossing;
 
 /// A ray as the test wants it: as it is.
@@ -29,8 +30,14 @@ pub struct MollerRay {
 }
 
 impl TriangleTest for MollerRay {
+    #[inline]
     fn new(origin: Vec3, direction: Vec3) -> Self {
         Self { origin, direction }
+    }
+
+    #[inline(always)]
+    fn in_lanes(&self) -> InLanes<'_> {
+        InLanes::Moller(self)
     }
 
     /// # Edge cases
@@ -50,6 +57,34 @@ impl TriangleTest for MollerRay {
         let inside = u >= 0.0 && v >= 0.0 && u + v <= 1.0;
         (inside && t > 0.0 && t <= t_max).then_some(Crossing { t, u, v })
     }
+}
+
+impl MollerRay {
+    /// Of sixteen triangles those that [`intersect`](TriangleTest::intersect) finds the ray to pass through, at any `t`:
+    /// the same arithmetic, lane by lane.
+    #[inline(always)]
+    pub(crate) fn candidates<S: Simd>(&self, s: S, [a, b, c]: [[S::F; 3]; 3]) -> Mask {
+        let (origin, direction) = (s.splat3(self.origin), s.splat3(self.direction));
+        let (e, f) = (difference(s, b, a), difference(s, c, a));
+        let p = cross(s, direction, f);
+        let determinant = s.dot(e, p);
+        let from_a = difference(s, origin, a);
+        let q = cross(s, from_a, e);
+        let [u, v] = each!(2: [s.dot(from_a, p), s.dot(direction, q)], weight => s.div(weight, determinant));
+        let zero = s.splat(0.0);
+        // A determinant of 0 makes infinities and NaN, which fail.
+        s.le(zero, u) & s.le(zero, v) & s.le(s.add(u, v), s.splat(1.0))
+    }
+}
+
+#[inline(always)]
+fn difference<S: Simd>(s: S, a: [S::F; 3], b: [S::F; 3]) -> [S::F; 3] {
+    [s.sub(a[0], b[0]), s.sub(a[1], b[1]), s.sub(a[2], b[2])]
+}
+
+#[inline(always)]
+fn cross<S: Simd>(s: S, a: [S::F; 3], b: [S::F; 3]) -> [S::F; 3] {
+    each!(3: [(1, 2), (2, 0), (0, 1)], (i, j) => s.sub(s.mul(a[i], b[j]), s.mul(b[i], a[j])))
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 //! | variant | in | shared edges | what it is for |
 //! |---|---|---|---|
 //! | [`WoopRay`] | `f32`, decided in `f64` | watertight | the default |
-//! | [`MollerRay`](crate::triangle_moller::MollerRay) | `f32` | leak | comparison with renderers that use it |
+//! | [`MollerRay`] | `f32` | leak | comparison with renderers that use it |
 //! | [`F64Ray`](crate::triangle_f64::F64Ray) | `f64` | watertight | the reference of tests |
 //!
 //! The kernel is compiled once for each variant in use; the default pays nothing for the others.
@@ -18,6 +18,7 @@ use crate::filter::Filter;
 use crate::grid_ray::GridRay;
 use crate::memory::SceneMemory;
 use crate::ray::{Hit, Ray};
+use crate::triangle_moller::MollerRay;
 use crate::triangle_woop::{Crossing, WoopRay};
 use crate::view::{Damaged, SceneView};
 
@@ -29,6 +30,13 @@ pub trait TriangleTest: Copy + fmt::Debug {
     /// Where the ray crosses a triangle with `0 < t <= t_max`; for both sides of it.
     fn intersect(&self, corners: [Vec3; 3], t_max: f32) -> Option<Crossing>;
 
+    /// Which of the kernels' own ways of testing sixteen triangles at once does the same as
+    /// [`intersect`](Self::intersect).
+    #[inline]
+    fn in_lanes(&self) -> InLanes<'_> {
+        InLanes::OneByOne
+    }
+
     /// Offers every triangle of a cluster that the ray hits and `filter` accepts to `nearest`; with `ANY`,
     /// stops at the first.
     ///
@@ -38,10 +46,7 @@ pub trait TriangleTest: Copy + fmt::Debug {
         cluster: &Cluster<'_>,
         nearest: &mut Nearest,
         filter: &mut impl Filter,
-        count: &mut impl Count,
     ) {
-        count.cluster();
-        count.triangles(u32::from(cluster.place().triangles));
         for index in 0..usize::from(cluster.place().triangles) {
             let (primitive, corners) = (cluster.primitive(index), cluster.triangle(index));
             if let Some(crossing) = self.intersect(corners, nearest.crossing.t)
@@ -66,16 +71,21 @@ impl TriangleTest for WoopRay {
         self.intersect(corners, t_max)
     }
 
-    #[inline]
-    fn intersect_cluster<const ANY: bool>(
-        &self,
-        cluster: &Cluster<'_>,
-        nearest: &mut Nearest,
-        filter: &mut impl Filter,
-        count: &mut impl Count,
-    ) {
-        cluster.intersect_filtered::<ANY>(self, nearest, filter, count);
+    #[inline(always)]
+    fn in_lanes(&self) -> InLanes<'_> {
+        InLanes::Woop(self)
     }
+}
+
+/// Ways of testing sixteen triangles at once.
+#[derive(Clone, Copy, Debug)]
+pub enum InLanes<'a> {
+    /// Sixteen at a time by the default test.
+    Woop(&'a WoopRay),
+    /// Sixteen at a time by the test of Möller and Trumbore.
+    Moller(&'a MollerRay),
+    /// One triangle after the other.
+    OneByOne,
 }
 
 /// Hits nothing: for kernels that trace no triangles.

@@ -111,7 +111,16 @@ fn certainly_outside(a: Sheared, b: Sheared, c: Sheared) -> bool {
     opposite(weights, 0.0)
 }
 
+/// As [`cross`], where single precision has not rejected yet.
+#[inline(always)]
+pub(crate) fn cross_at(a: Sheared, b: Sheared, c: Sheared, t_max: f32) -> Option<Crossing> {
+    let is_beyond = a.t > t_max && b.t > t_max && c.t > t_max;
+    let is_behind = a.t <= 0.0 && b.t <= 0.0 && c.t <= 0.0;
+    if is_beyond || is_behind { None } else { decide(a, b, c, t_max) }
+}
+
 /// The exact test, in `f64`.
+#[inline]
 fn decide(a: Sheared, b: Sheared, c: Sheared, t_max: f32) -> Option<Crossing> {
     let edge = |p: Sheared, q: Sheared| f64::from(p.x) * f64::from(q.y) - f64::from(p.y) * f64::from(q.x);
     let weights = [edge(c, b), edge(a, c), edge(b, a)];

@@ -3,6 +3,7 @@
 use core::fmt;
 use core::marker::PhantomData;
 
+use crate::cluster::Nearest;
 use crate::count::Count;
 use crate::filter::Filter;
 use crate::grid::{BRANCH_BYTES, Branch, ClusterRef, LEAF_BYTES, Leaf, SpheresRef};
@@ -10,7 +11,9 @@ use crate::grid_ray::GridRay;
 use crate::image::{HEADER_BYTES, Header, HeaderError};
 use crate::kinds::{ForKinds, Kinds, dispatch};
 use crate::memory::SceneMemory;
+use crate::needs::SceneNeeds;
 use crate::ray::{Hit, Primitive, Ray};
+use crate::simd::{Lanes, Simd, Task};
 use crate::triangle_test::TriangleTest;
 use crate::triangle_woop::WoopRay;
 use crate::walk::walk_with;
@@ -22,6 +25,7 @@ use crate::walk::walk_with;
 pub struct SceneView<M> {
     memory: M,
     header: Header,
+    lanes: Lanes,
 }
 
 /// The segments of an image contradict its header or themselves, or a page could not be had. The ray was
@@ -45,7 +49,8 @@ pub enum Damaged {
 }
 
 impl<M: SceneMemory> SceneView<M> {
-    /// Reads and checks the header of the image in `memory`.
+    /// Reads and checks the header of the image in `memory`. Rays will be traced with the widest lanes that the
+    /// processor has; it is asked here, which takes some microseconds.
     ///
     /// # Errors
     /// As [`Header::parse`]. The segments are not looked at; verify their checksums before trusting a file.
@@ -53,7 +58,25 @@ impl<M: SceneMemory> SceneView<M> {
         let available = usize::try_from(memory.length()).unwrap_or(usize::MAX).min(HEADER_BYTES);
         let truncated = HeaderError::Truncated { needed: HEADER_BYTES, got: available };
         let header = Header::parse(&memory.record(0, available).ok_or(truncated)?, memory.length())?;
-        Ok(Self { memory, header })
+        Ok(Self { memory, header, lanes: Lanes::widest() })
+    }
+
+    /// The same scene, its rays traced with other lanes. The answers are the same.
+    #[must_use]
+    pub fn with_lanes(self, lanes: Lanes) -> Self {
+        Self { lanes, ..self }
+    }
+
+    /// The same scene as if it needed `more` as well: kernels then look for what is not there. The answers are the
+    /// same; to measure what leaving out is worth.
+    #[must_use]
+    pub fn with_needs(self, more: SceneNeeds) -> Self {
+        Self { header: Header { needs: self.header.needs.with(more), ..self.header }, ..self }
+    }
+
+    /// The lanes that rays are traced with.
+    pub const fn lanes(&self) -> Lanes {
+        self.lanes
     }
 
     /// The nearest hit of a ray, or `None` when it misses everything.
@@ -88,10 +111,8 @@ impl<M: SceneMemory> SceneView<M> {
         filter: &mut F,
         count: &mut C,
     ) -> Result<Option<Hit>, Damaged> {
-        dispatch(
-            self.header.needs,
-            Trace::<_, T, _, _, false> { scene: self, ray, filter, count, test: PhantomData },
-        )
+        let trace = Trace::<_, T, _, _, false> { scene: self, ray, filter, count, test: PhantomData };
+        dispatch(self.header.needs, trace)
     }
 
     /// Whether there is any hit, with a choice of triangle test and filter.
@@ -102,10 +123,8 @@ impl<M: SceneMemory> SceneView<M> {
         filter: &mut F,
         count: &mut C,
     ) -> Result<bool, Damaged> {
-        dispatch(
-            self.header.needs,
-            Trace::<_, T, _, _, true> { scene: self, ray, filter, count, test: PhantomData },
-        )
+        let trace = Trace::<_, T, _, _, true> { scene: self, ray, filter, count, test: PhantomData };
+        dispatch(self.header.needs, trace)
     }
 
     /// Number that a triangle or sphere had in the model, or `None` when there is no such primitive. Reads the
@@ -204,8 +223,8 @@ impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> ForKinds for Trace<'_
 
     #[inline]
     fn run<K: Kinds>(self) -> Self::Output {
-        let Self { scene, ray, filter, count, .. } = self;
-        Ok(ray.hit::<K>(&walk_with::<M, T, F, C, K, false>(scene, ray, filter, count)?))
+        let ray = self.ray;
+        Ok(ray.hit::<K>(&self.scene.lanes.run(OfKinds::<_, _, _, _, K, false>(self, PhantomData))?))
     }
 }
 
@@ -214,8 +233,28 @@ impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> ForKinds for Trace<'_
 
     #[inline]
     fn run<K: Kinds>(self) -> Self::Output {
-        let Self { scene, ray, filter, count, .. } = self;
-        Ok(walk_with::<M, T, F, C, K, true>(scene, ray, filter, count)?.surface.is_some())
+        let nearest = self.scene.lanes.run(OfKinds::<_, _, _, _, K, true>(self, PhantomData))?;
+        Ok(nearest.surface.is_some())
+    }
+}
+
+/// A [`Trace`] of primitives of the kinds `K`.
+struct OfKinds<'a, M, T, F, C, K, const ANY: bool>(Trace<'a, M, T, F, C, ANY>, PhantomData<K>);
+
+impl<M, T, F, C, K, const ANY: bool> Task for OfKinds<'_, M, T, F, C, K, ANY>
+where
+    M: SceneMemory,
+    T: TriangleTest,
+    F: Filter,
+    C: Count,
+    K: Kinds,
+{
+    type Output = Result<Nearest, Damaged>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) -> Self::Output {
+        let Trace { scene, ray, filter, count, .. } = self.0;
+        walk_with::<S, M, T, F, C, K, ANY>(s, scene, ray, filter, count)
     }
 }
 

@@ -1,11 +1,14 @@
 //! The **ray** kernel: one ray, any origin, through the grid front to back.
 //!
 //! # How it goes
-//! At a branch the 64 cells are culled at once: slab intervals per axis, then an interval per cell, then a
-//! bit per cell that the ray may enter. The bits are flipped so that the lowest is the nearest, and taken one
-//! by one. An inner cell is descended into; for a run the leaf's tight box is tested and then its cluster,
-//! all of it, and the rest of the run's bits are cleared. Once something is hit, cells and boxes entered
-//! later are skipped.
+//! At a branch the 64 cells are culled at once, sixteen to a register: slab intervals per axis, then an interval per
+//! cell, then a bit per cell that the ray may enter. Cells are counted from the corner where the ray comes in, so the
+//! lowest bit is the nearest; they are taken one by one. An inner cell is descended into; for a run, once, the
+//! leaf's tight box is tested and then its cluster: all vertices at once, then sixteen triangles at a time. Once
+//! something is hit, cells and boxes entered later are skipped.
+//!
+//! It is written over [lanes](crate::Lanes). Culling rounds in one stated order with all of them and the tests of
+//! triangles are those of the plain version, so the lanes do not show; nor would it matter if culling differed.
 //!
 //! # Why it agrees with testing every triangle and sphere
 //! Cells are padded by the slack, and all intervals by a *rounding allowance* on top, per axis. Let `e =
@@ -17,8 +20,8 @@
 //!    ray passes within `14 e reach` of `q`.
 //! 2. *`t`* is the mean of three corner heights, each off by `3 e`, with exact weights, rounded once: `4 e
 //!    reach` along the ray's main axis, and at most `13 e reach` on any axis, by the argument of 1.
-//! 3. *Slabs*: a plane is exact, its difference to the origin, the inverse direction, their product, the step
-//!    to the next plane, and the padding round once each: `14 e reach` at most.
+//! 3. *Slabs*: a plane is exact, its difference to the origin, the inverse direction, their product, the padding,
+//!    the way to the cell and the width of the padded cell round once each, and so do two sums: `14 e reach` at most.
 //! 4. *Boxes* count from the branch's corner; decoding and moving them to the origin round three times: `10 e
 //!    reach`.
 //!
@@ -33,20 +36,24 @@
 //! `2^-47` of the largest reach (see [`sphere`](crate::sphere)), the rounding of its `t` by `e reach` along each
 //! axis, and then 3 and 4 apply: 25 of the 64. The allowance has `2^-46` of the largest reach on top, for both.
 
-use glam::Vec3;
+use core::marker::PhantomData;
+
+use glam::Vec4;
+use heapless::Vec;
 
 use crate::cluster::{Cluster, Nearest};
 use crate::count::Count;
 use crate::filter::Filter;
 use crate::grid::{
-    BoxFrame, Branch, ClusterRef, LEVELS_MAX, LeafContent, SpheresRef, cell_coordinates, flip_cells,
+    BoxFrame, Branch, CELL_CORNERS, ClusterRef, LEVELS_MAX, LeafContent, SpheresRef, flip_cells,
 };
 use crate::grid_ray::GridRay;
 use crate::image::Header;
 use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
+use crate::simd::{Part, Simd};
 use crate::sphere::SphereCluster;
-use crate::triangle_test::TriangleTest;
+use crate::triangle_test::{InLanes, TriangleTest};
 use crate::triangle_woop::WoopRay;
 use crate::view::{Damaged, SceneView};
 
@@ -58,34 +65,45 @@ use crate::view::{Damaged, SceneView};
 /// # Errors
 /// [`Damaged`] at the first index or record that cannot be, a cluster of another kind included, or when a bound
 /// is reached.
-#[inline]
-pub fn walk<M: SceneMemory, C: Count, K: Kinds, const ANY: bool>(
+#[inline(always)]
+pub(crate) fn walk<S: Simd, M: SceneMemory, C: Count, K: Kinds, const ANY: bool>(
+    s: S,
     scene: &SceneView<M>,
     ray: &GridRay,
     count: &mut C,
 ) -> Result<Nearest, Damaged> {
-    walk_with::<M, WoopRay, (), C, K, ANY>(scene, ray, &mut (), count)
+    walk_with::<S, M, WoopRay, (), C, K, ANY>(s, scene, ray, &mut (), count)
 }
 
 /// As [`walk`], with any triangle test, and only hits that `filter` accepts.
 ///
 /// # Errors
 /// As [`walk`].
-#[inline]
-pub fn walk_with<M: SceneMemory, T: TriangleTest, F: Filter, C: Count, K: Kinds, const ANY: bool>(
+#[inline(always)]
+pub(crate) fn walk_with<S, M, T, F, C, K, const ANY: bool>(
+    s: S,
     scene: &SceneView<M>,
     ray: &GridRay,
     filter: &mut F,
     count: &mut C,
-) -> Result<Nearest, Damaged> {
+) -> Result<Nearest, Damaged>
+where
+    S: Simd,
+    M: SceneMemory,
+    T: TriangleTest,
+    F: Filter,
+    C: Count,
+    K: Kinds,
+{
     let (nearest, budget) = (Nearest::none(ray.t_max()), Budget::of(scene.header()));
-    let mut walk = Walk { scene, ray, test: ray.test::<K::Test<T>>(), filter, count, nearest, budget };
+    let mut walk = Walk { s, scene, ray, test: ray.test::<K::Test<T>>(), filter, count, nearest, budget };
     walk.run::<K, ANY>()?;
     Ok(walk.nearest)
 }
 
 /// A walk under way.
-struct Walk<'a, M, T, F, C> {
+struct Walk<'a, S, M, T, F, C> {
+    s: S,
     scene: &'a SceneView<M>,
     ray: &'a GridRay,
     /// The ray as the triangle test wants it.
@@ -100,16 +118,19 @@ struct Walk<'a, M, T, F, C> {
 #[derive(Clone, Copy)]
 struct Visit {
     branch: Branch,
-    corner: Vec3,
+    corner: Vec4,
     cell: f32,
-    frame: BoxFrame,
+    /// Levels of branches above.
+    depth: u32,
     /// Cells still to visit, flipped so that the lowest bit is the nearest.
     left: u64,
+    /// Runs that were visited, one bit each.
+    done: u64,
 }
 
 impl Visit {
     /// Takes the nearest cell that is left.
-    #[inline]
+    #[inline(always)]
     const fn next_cell(&mut self, flip: u32) -> Option<u32> {
         if self.left == 0 {
             return None;
@@ -120,25 +141,22 @@ impl Visit {
     }
 
     /// Lowest corner of a cell; exact.
-    #[inline]
-    fn corner_of(&self, cell: u32) -> Vec3 {
-        self.corner + Vec3::from(cell_coordinates(cell).map(|i| i as f32)) * self.cell
+    #[inline(always)]
+    fn corner_of(&self, cell: u32) -> Vec4 {
+        self.corner + CELL_CORNERS[cell as usize % 64] * self.cell
     }
 }
 
-impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, M, T, F, C> {
+impl<S: Simd, M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, S, M, T, F, C> {
+    #[inline(always)]
     fn run<K: Kinds, const ANY: bool>(&mut self) -> Result<(), Damaged> {
         let grid = self.scene.header().grid;
-        let mut visit = self.enter(0, grid.origin, grid.size * 0.25)?;
-        let mut above = [visit; LEVELS_MAX];
-        let mut depth = 0;
+        let mut visit = self.enter(0, grid.origin.extend(0.0), grid.size * 0.25, 0)?;
+        let mut above = Vec::<Visit, LEVELS_MAX>::new();
         loop {
             let Some(cell) = visit.next_cell(self.ray.flip()) else {
-                if depth == 0 {
-                    return Ok(());
-                }
-                depth -= 1;
-                visit = above[depth];
+                let Some(last) = above.pop() else { return Ok(()) };
+                visit = last;
                 continue;
             };
             let corner = visit.corner_of(cell);
@@ -147,15 +165,21 @@ impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, M, T, F, C> 
             }
             if visit.branch.inner >> cell & 1 != 0 {
                 let child = visit.branch.child_of(cell).ok_or(Damaged::Branch(u32::MAX))?;
-                above[depth] = visit;
-                depth += 1;
-                if depth >= grid.levels as usize {
+                let (cell, depth) = (visit.cell * 0.25, visit.depth + 1);
+                if depth >= grid.levels {
                     return Err(Damaged::Depth);
                 }
-                visit = self.enter(child, corner, visit.cell * 0.25)?;
+                if visit.left != 0 {
+                    above.push(visit).map_err(|_| Damaged::Depth)?;
+                }
+                visit = self.enter(child, corner, cell, depth)?;
             } else {
-                visit.left &= !flip_cells(visit.branch.run_of(cell), self.ray.flip());
-                self.visit_run::<K, ANY>(&visit, cell)?;
+                let run = visit.branch.run_of(cell).ok_or(Damaged::Leaf(u32::MAX))?;
+                if visit.done >> run & 1 != 0 {
+                    continue;
+                }
+                visit.done |= 1 << run;
+                self.visit_run::<K, ANY>(&visit, run)?;
                 if ANY && self.nearest.surface.is_some() {
                     return Ok(());
                 }
@@ -164,88 +188,121 @@ impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, M, T, F, C> 
     }
 
     /// Whether the ray enters a cell only behind the nearest hit.
-    #[inline]
-    fn is_hidden(&self, corner: Vec3, cell: f32) -> bool {
+    #[inline(always)]
+    fn is_hidden(&self, corner: Vec4, cell: f32) -> bool {
         self.nearest.surface.is_some() && self.ray.t_enter(corner, cell) > self.nearest.crossing.t
     }
 
     /// Reads a branch and culls its cells.
-    #[inline]
-    fn enter(&mut self, index: u32, corner: Vec3, cell: f32) -> Result<Visit, Damaged> {
+    #[inline(always)]
+    fn enter(&mut self, index: u32, corner: Vec4, cell: f32, depth: u32) -> Result<Visit, Damaged> {
         Budget::spend(&mut self.budget.branches)?;
         let branch = self.scene.branch(index)?;
         self.count.branch();
-        let entered = self.ray.cells_entered(corner, cell, self.nearest.crossing.t) & branch.occupied;
-        let frame = BoxFrame::new(cell, self.scene.header().grid.slack);
-        Ok(Visit { branch, corner, cell, frame, left: flip_cells(entered, self.ray.flip()) })
+        let entered = self.ray.cells_entered(self.s, corner, cell, self.nearest.crossing.t);
+        let left = flip_cells(branch.occupied, self.ray.flip()) & entered;
+        Ok(Visit { branch, corner, cell, depth, left, done: 0 })
     }
 
-    /// Tests what the run of `cell` holds.
-    #[inline]
-    fn visit_run<K: Kinds, const ANY: bool>(&mut self, visit: &Visit, cell: u32) -> Result<(), Damaged> {
-        let leaf = visit.branch.leaf_of(cell).ok_or(Damaged::Leaf(u32::MAX))?;
-        match self.visit_leaf::<K, ANY>(visit, leaf)? {
-            None | Some(LeafContent::Cluster(_) | LeafContent::Spheres(_)) => Ok(()),
-            Some(LeafContent::List { first, count }) => self.visit_list::<K, ANY>(visit, first, count),
-        }
-    }
-
-    /// Tests the leaves of a list, which hold a cluster each.
-    fn visit_list<K: Kinds, const ANY: bool>(
-        &mut self,
-        visit: &Visit,
-        first: u32,
-        count: u32,
-    ) -> Result<(), Damaged> {
-        for leaf in first..first.checked_add(count).ok_or(Damaged::Leaf(first))? {
-            if let Some(LeafContent::List { .. }) = self.visit_leaf::<K, ANY>(visit, leaf)? {
-                return Err(Damaged::Leaf(leaf));
-            }
-            if ANY && self.nearest.surface.is_some() {
-                break;
+    /// Tests what a run holds.
+    #[inline(always)]
+    fn visit_run<K: Kinds, const ANY: bool>(&mut self, visit: &Visit, run: u32) -> Result<(), Damaged> {
+        let index = visit.branch.leaf.checked_add(run).ok_or(Damaged::Leaf(u32::MAX))?;
+        let frame = BoxFrame::new(visit.cell, self.scene.header().grid.slack);
+        let (s, corner) = (self.s, visit.corner);
+        match self.visit_leaf::<K, ANY>(corner, &frame, index)? {
+            None => Ok(()),
+            Some((first, count)) => {
+                s.apart(List::<_, K, ANY> { walk: self, corner, frame, first, count, kinds: PhantomData })
             }
         }
-        Ok(())
     }
 
-    /// Tests the cluster of a leaf whose box the ray enters, and tells what the leaf holds; `None` when it
-    /// passes by the box.
-    #[inline]
+    /// Tests the cluster of a leaf whose box the ray enters; if it is a list, tells its first leaf and their number.
+    #[inline(always)]
     fn visit_leaf<K: Kinds, const ANY: bool>(
         &mut self,
-        visit: &Visit,
+        corner: Vec4,
+        frame: &BoxFrame,
         index: u32,
-    ) -> Result<Option<LeafContent>, Damaged> {
+    ) -> Result<Option<(u32, u32)>, Damaged> {
         Budget::spend(&mut self.budget.leaves)?;
         let leaf = self.scene.leaf(index)?;
         self.count.leaf();
-        if !self.ray.enters_box(visit.corner, &visit.frame, leaf.bounds, self.nearest.crossing.t) {
+        if !self.ray.enters_box(self.s, corner, frame, &leaf, self.nearest.crossing.t) {
             return Ok(None);
         }
-        let content = leaf.content().ok_or(Damaged::Leaf(index))?;
-        match &content {
-            LeafContent::Cluster(place) if K::TRIANGLES => self.visit_cluster::<ANY>(place)?,
-            LeafContent::Spheres(place) if K::SPHERES => self.visit_spheres::<ANY>(place)?,
-            LeafContent::List { .. } => {}
+        match leaf.content().ok_or(Damaged::Leaf(index))? {
+            LeafContent::Cluster(place) if K::TRIANGLES => self.visit_cluster::<ANY>(&place)?,
+            LeafContent::Spheres(place) if K::SPHERES => self.visit_spheres::<ANY>(&place)?,
+            LeafContent::List { first, count } => return Ok(Some((first, count))),
             _ => return Err(Damaged::Leaf(index)),
         }
-        Ok(Some(content))
+        Ok(None)
     }
 
-    #[inline]
+    #[inline(always)]
     fn visit_cluster<const ANY: bool>(&mut self, place: &ClusterRef) -> Result<(), Damaged> {
         let record = self.scene.cluster(place)?;
         let cluster = Cluster::new(&record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
-        self.test.intersect_cluster::<ANY>(&cluster, &mut self.nearest, self.filter, self.count);
+        self.count.cluster();
+        self.count.triangles(u32::from(place.triangles));
+        match self.test.in_lanes() {
+            InLanes::Woop(ray) => {
+                cluster.intersect_filtered::<S, F, ANY>(self.s, ray, &mut self.nearest, self.filter);
+            }
+            InLanes::Moller(ray) => {
+                cluster.intersect_moller::<S, F, ANY>(self.s, ray, &mut self.nearest, self.filter);
+            }
+            InLanes::OneByOne => {
+                self.test.intersect_cluster::<ANY>(&cluster, &mut self.nearest, self.filter);
+            }
+        }
         Ok(())
     }
 
-    #[inline]
+    #[inline(always)]
     fn visit_spheres<const ANY: bool>(&mut self, place: &SpheresRef) -> Result<(), Damaged> {
         let record = self.scene.spheres(place)?;
         let cluster = SphereCluster::new(&record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
         let ray = self.ray.sphere_ray();
         cluster.intersect_filtered::<ANY>(&ray, &mut self.nearest, self.filter, self.count);
+        Ok(())
+    }
+}
+
+/// Leaves of a list, to be tested apart: there are few.
+struct List<'a, W, K, const ANY: bool> {
+    walk: &'a mut W,
+    corner: Vec4,
+    frame: BoxFrame,
+    first: u32,
+    count: u32,
+    kinds: PhantomData<K>,
+}
+
+impl<S, M, T, F, C, K, const ANY: bool> Part<S> for List<'_, Walk<'_, S, M, T, F, C>, K, ANY>
+where
+    S: Simd,
+    M: SceneMemory,
+    T: TriangleTest,
+    F: Filter,
+    C: Count,
+    K: Kinds,
+{
+    type Output = Result<(), Damaged>;
+
+    #[inline(always)]
+    fn run(self, _: S) -> Result<(), Damaged> {
+        let Self { walk, corner, frame, first, count, .. } = self;
+        for leaf in first..first.checked_add(count).ok_or(Damaged::Leaf(first))? {
+            if walk.visit_leaf::<K, ANY>(corner, &frame, leaf)?.is_some() {
+                return Err(Damaged::Leaf(leaf));
+            }
+            if ANY && walk.nearest.surface.is_some() {
+                break;
+            }
+        }
         Ok(())
     }
 }

@@ -6,7 +6,7 @@ use common::{Dice, image, meshes};
 use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::camera::OrbitPlace;
-use rt_core::{Bounds, Flat, Frame, Kernel, Orbit, SceneView, TileCounts, Tiles, render_tile};
+use rt_core::{Bounds, Flat, Frame, Kernel, Lanes, Orbit, SceneView, TileCounts, Tiles, render_tile};
 use scene::builtin;
 
 /// A picture and what was counted.
@@ -25,7 +25,7 @@ fn draw(scene: &SceneView<Flat<'_>>, frame: &Frame, kernel: Kernel) -> Vec<Drawn
 
 /// Asserts that all kernels draw the same, and gives back what was counted.
 fn agree(scene: &SceneView<Flat<'_>>, frame: &Frame, what: &str) -> TileCounts {
-    let by_rays = draw(scene, frame, Kernel::Rays);
+    let by_rays = draw(scene, frame, Kernel::Rays(Lanes::PORTABLE));
     for kernel in Kernel::available() {
         let drawn = draw(scene, frame, kernel);
         for (tile, (found, expected)) in drawn.iter().zip(&by_rays).enumerate() {

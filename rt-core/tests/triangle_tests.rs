@@ -11,8 +11,8 @@ use proptest::prelude::*;
 use rt_core::triangle_f64::F64Ray;
 use rt_core::triangle_moller::MollerRay;
 use rt_core::triangle_test::TriangleTest;
-use rt_core::triangle_woop::WoopRay;
-use rt_core::{Flat, Ray, SceneView};
+use rt_core::triangle_woop::{Crossing, WoopRay};
+use rt_core::{Flat, Lanes, Ray, SceneView};
 use scene::builtin;
 
 /// The answers of Woop, Möller-Trumbore and `f64`: hit or miss.
@@ -128,6 +128,43 @@ fn over_a_whole_scene_woop_finds_what_f64_finds_but_for_rays_at_edges() {
     }
     println!("of 20,000 rays Woop differs from f64 in {}, Möller-Trumbore in {}", differ[0], differ[1]);
     assert!(differ[0] <= 4 && differ[1] <= 20, "{differ:?}");
+}
+
+/// The test of Möller and Trumbore, one triangle after the other.
+#[derive(Clone, Copy, Debug)]
+struct OneByOne(MollerRay);
+
+impl TriangleTest for OneByOne {
+    fn new(origin: Vec3, direction: Vec3) -> Self {
+        Self(MollerRay::new(origin, direction))
+    }
+
+    fn intersect(&self, corners: [Vec3; 3], t_max: f32) -> Option<Crossing> {
+        self.0.intersect(corners, t_max)
+    }
+}
+
+#[test]
+fn moller_finds_sixteen_at_a_time_what_it_finds_one_by_one() {
+    let image = image(&builtin::knot(4000), 0.5, 4096);
+    let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+    let mut dice = Dice(33);
+    let mut hits = 0;
+    for _ in 0..5000 {
+        let origin = dice.point() * 6.0;
+        let ray = Ray { origin, direction: dice.point() * 3.0 - origin, t_max: f32::INFINITY };
+        let expected = scene.nearest_by::<OneByOne, _>(&ray, &mut ());
+        hits += u32::from(matches!(expected, Ok(Some(_))));
+        for lanes in Lanes::available() {
+            let scene = scene.with_lanes(lanes);
+            assert_eq!(scene.nearest_by::<MollerRay, _>(&ray, &mut ()), expected, "{ray:?} with {lanes}");
+            assert_eq!(
+                scene.any_by::<MollerRay, _>(&ray, &mut ()).ok(),
+                expected.map(|hit| hit.is_some()).ok()
+            );
+        }
+    }
+    assert!(hits > 500, "{hits} of 5000 rays hit the knot");
 }
 
 #[test]

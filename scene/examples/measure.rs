@@ -125,7 +125,7 @@ fn print_rays(radius: f32, counts: &TileCounts, work: &WorkCounts, whole: (f64, 
     );
     let per_ray = |count: u64| count as f64 / rays;
     println!(
-        "  per ray: {:.2} branches, {:.2} leaves, {:.2} clusters, {:.1} triangles, {:.1} spheres",
+        "  per ray: {:.4} branches, {:.4} leaves, {:.4} clusters, {:.2} triangles, {:.1} spheres",
         per_ray(work.branches),
         per_ray(work.leaves),
         per_ray(work.clusters),
@@ -186,7 +186,7 @@ impl Options {
         let mut options = Self {
             mesh: None,
             radii: vec![1.5, 0.75],
-            kernels: vec![Kernel::fastest(), Kernel::Rays],
+            kernels: vec![Kernel::fastest(), Kernel::rays()],
             elevation: 0.0,
             frame: 0,
             size: 512,

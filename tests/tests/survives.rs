@@ -11,7 +11,7 @@ const TIMES: u64 = 6;
 
 const FRAMES: u64 = 3;
 
-/// Tiles of a frame of 128x128.
+/// Tiles of a frame of 256x256.
 const TILES: u64 = 64;
 
 /// Three nodes, and who holds the pages: two stores, or they themselves.
@@ -27,7 +27,7 @@ impl Cluster {
         let (stores, memory) = if self.stores > 0 { ("2", "20%") } else { ("0", "80%") };
         let cluster = ["--nodes", "3", "--stores", stores, "--memory", memory, "--threads", "2"];
         let pages = ["--replicas", "2", "--transport", self.transport, "--backend", self.backend];
-        let view = ["--size", "128x128", "--frames", "3", "--radius", "0.8", "--deadline", "50"];
+        let view = ["--size", "256x256", "--frames", "3", "--radius", "0.8", "--deadline", "50"];
         [&[image][..], &cluster, &pages, &view].concat()
     }
 
@@ -108,7 +108,7 @@ fn any_store_and_any_node_may_be_killed_and_the_picture_is_the_same() {
 fn what_cannot_be_spared_ends_the_run_with_its_name() {
     let folder = Folder::new("not-spared");
     let image = scene(&folder);
-    let view = ["render", &image, "--size", "128x128", "--frames", "3", "--deadline", "50", "--quiet"];
+    let view = ["render", &image, "--size", "256x256", "--frames", "3", "--deadline", "50", "--quiet"];
     for (flags, victim) in [
         (&["--nodes", "2", "--stores", "2", "--kill", "0@1:9"][..], "node 0"),
         (&["--nodes", "2", "--stores", "2", "--kill", "3@1:9"], "store 3"),

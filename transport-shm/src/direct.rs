@@ -1,5 +1,6 @@
 //! Reading an owner's pages straight out of its memory file.
 
+use std::collections::VecDeque;
 use std::fs::File;
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
@@ -31,8 +32,8 @@ pub struct PageFile {
 #[derive(Debug)]
 pub struct DirectPort {
     routes: Vec<Option<Route>>,
-    /// What the last request is to be answered with.
-    pending: Option<Pending>,
+    /// What the last requests are to be answered with, the oldest first. Never grows: it is used in signal handlers.
+    pending: VecDeque<Pending>,
     page: Vec<u8>,
 }
 
@@ -53,6 +54,9 @@ struct Pending {
     owner: usize,
     answer: Answer,
 }
+
+/// Requests that wait for their answer to be taken.
+const PENDING_MAX: usize = 8;
 
 impl PageFile {
     /// An empty file for `bytes` bytes of pages.
@@ -116,7 +120,11 @@ impl DirectPort {
     /// A port without routes, for pages of `page_bytes`.
     #[must_use]
     pub fn new(page_bytes: u32) -> Self {
-        Self { routes: Vec::new(), pending: None, page: vec![0; page_bytes as usize] }
+        Self {
+            routes: Vec::new(),
+            pending: VecDeque::with_capacity(PENDING_MAX),
+            page: vec![0; page_bytes as usize],
+        }
     }
 
     /// Opens the way to `owner`, whose pages lie in `pages` and for whom `home` answers.
@@ -132,13 +140,17 @@ impl Transport for DirectPort {
     fn send(&mut self, to: NodeId, message: &[u8]) -> Result<(), SendError> {
         let route = self.routes.get_mut(to.index()).and_then(Option::as_mut).ok_or(SendError::NoRoute(to))?;
         let answer = route.home.handle_message(message).ok();
-        self.pending = answer.map(|answer| Pending { owner: to.index(), answer });
+        // Who asks so often without looking has given up the oldest.
+        if self.pending.len() == PENDING_MAX {
+            self.pending.pop_front();
+        }
+        self.pending.extend(answer.map(|answer| Pending { owner: to.index(), answer }));
         Ok(())
     }
 
     /// The answer is there at once or never.
     fn receive(&mut self, deadline: Instant) -> Option<Received<'_>> {
-        let Some(Pending { owner, answer }) = self.pending.take() else {
+        let Some(Pending { owner, answer }) = self.pending.pop_front() else {
             sleep_until(deadline);
             return None;
         };

@@ -40,8 +40,8 @@ pub enum LayoutError {
 /// Requests that a channel can hold.
 pub(crate) const REQUEST_PLACES: u32 = 8;
 
-/// Answers, each with a page, that a channel can hold: one being copied, one being written.
-pub(crate) const ANSWER_PLACES: u32 = 2;
+/// Answers, each with a page, that a channel can hold: as many as a thread asks for at a time.
+pub(crate) const ANSWER_PLACES: u32 = 4;
 
 /// Where things lie in a channel, in bytes from its start.
 pub(crate) mod at {

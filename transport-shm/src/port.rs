@@ -1,5 +1,6 @@
 //! One thread's rings to all owners, as a transport.
 
+use std::collections::VecDeque;
 use std::io;
 
 use dsm_core::id::NodeId;
@@ -20,8 +21,11 @@ use crate::mapping::Mapping;
 #[derive(Debug)]
 pub struct RingPort {
     routes: Vec<Option<Route>>,
-    /// The owner asked last.
-    asked: usize,
+    /// The owners of the last requests that no answer came to, the oldest first. Never grows: it is used in signal
+    /// handlers.
+    asked: VecDeque<usize>,
+    /// The owner asked last: where to look when an answer that came late was taken for a later one.
+    last: usize,
     spin_us: u64,
 }
 
@@ -32,6 +36,9 @@ struct Route {
     front: Mapping,
 }
 
+/// Requests that are remembered until they are answered.
+const ASKED_MAX: usize = 16;
+
 /// A sleep is never longer than this, whatever the deadline.
 const SLEEP_US_MAX: u64 = 10_000;
 
@@ -39,8 +46,8 @@ impl RingPort {
     /// A port without routes. It looks for an answer for `spin_us` before it sleeps: about 100 where every thread has
     /// a core, 0 where owner and reader share one.
     #[must_use]
-    pub const fn new(spin_us: u64) -> Self {
-        Self { routes: Vec::new(), asked: 0, spin_us }
+    pub fn new(spin_us: u64) -> Self {
+        Self { routes: Vec::new(), asked: VecDeque::with_capacity(ASKED_MAX), last: 0, spin_us }
     }
 
     /// Opens the way to `owner` through its inbox. `channel` is this thread's alone.
@@ -74,7 +81,11 @@ impl RingPort {
 impl Transport for RingPort {
     fn send(&mut self, to: NodeId, message: &[u8]) -> Result<(), SendError> {
         let header: &[u8; HEADER_BYTES] = message.try_into().map_err(|_| SendError::Full)?;
-        self.asked = to.index();
+        if self.asked.len() == ASKED_MAX {
+            self.asked.pop_front();
+        }
+        self.asked.push_back(to.index());
+        self.last = to.index();
         let route = self.route(to.index()).ok_or(SendError::NoRoute(to))?;
         route.channel.release();
         route.channel.ask(header).map_err(|_| SendError::Full)?;
@@ -84,10 +95,22 @@ impl Transport for RingPort {
 
     fn receive(&mut self, deadline: Instant) -> Option<Received<'_>> {
         let spin_us = self.spin_us;
-        let channel = &mut self.route(self.asked)?.channel;
-        channel.release();
+        self.routes.iter_mut().flatten().for_each(|route| route.channel.release());
+        // Whoever has answered already comes first; else whoever was asked first is waited for.
+        let has_answer = |owner: &usize| {
+            self.routes.get(*owner).and_then(Option::as_ref).is_some_and(|route| route.channel.has_answer())
+        };
+        let place = self.asked.iter().position(has_answer).unwrap_or(0);
+        let owner = self.asked.get(place).copied().unwrap_or(self.last);
+        let channel = &self.route(owner)?.channel;
         wait_for(deadline, spin_us, || channel.has_answer(), |timeout_us| channel.sleep(timeout_us));
-        let (header, body) = channel.answer()?;
+        // Answered or overdue: in both cases the others come first from now on.
+        self.asked.remove(place);
+        if !self.route(owner)?.channel.has_answer() {
+            self.asked.push_back(owner);
+            return None;
+        }
+        let (header, body) = self.route(owner)?.channel.answer()?;
         Some(Received { header, body })
     }
 }

@@ -40,24 +40,22 @@ impl Kernel {
         rt_core::Kernel::available().map(Self).filter(move |kernel| kernel.is_ray() || !spheres)
     }
 
-    /// The kernel that follows one ray at a time.
+    /// The kernel that follows one ray at a time, on any processor.
     #[cfg(test)]
-    pub(super) const RAYS: Self = Self(rt_core::Kernel::Rays);
+    pub(super) const RAYS: Self = Self(rt_core::Kernel::Rays(rt_core::Lanes::PORTABLE));
 
-    pub(super) const fn name(self) -> &'static str {
-        match self.0 {
-            rt_core::Kernel::Rays => "ray",
-            rt_core::Kernel::Beams(lanes) => lanes.name(),
-        }
+    pub(super) fn name(self) -> &'static str {
+        self.0.name()
     }
 
     pub(super) fn is_ray(self) -> bool {
-        self.0 == rt_core::Kernel::Rays
+        matches!(self.0, rt_core::Kernel::Rays(_))
     }
 
     /// The vectors that it uses; it is compared with whoever may use as wide ones or wider.
     pub(super) fn level(self) -> Level {
-        match self.0.name() {
+        let (rt_core::Kernel::Rays(lanes) | rt_core::Kernel::Beams(lanes)) = self.0;
+        match lanes.name() {
             "avx512" => Level::Avx512,
             "avx2" => Level::Avx2,
             _ => Level::Portable,

@@ -31,6 +31,8 @@ pub(crate) struct Member {
     pub(crate) work: Vec<Work>,
     /// Which pages this node's readers can see, and in which slot.
     pub(crate) visible: BTreeMap<u32, u32>,
+    /// The page whose bytes lie in each slot, visible or not.
+    pub(crate) kept: BTreeMap<u32, u32>,
     /// Parts of pages that were put aside, by slot.
     pub(crate) stored: BTreeMap<u32, Stored>,
     pub(crate) oracle: Oracle,
@@ -61,6 +63,7 @@ pub(crate) struct Wait {
 pub(crate) enum Work {
     Fill { page: PageId, slot: SlotId },
     Unmap { page: PageId },
+    Hide { page: PageId },
 }
 
 /// The bytes of a page that were put aside.
@@ -97,6 +100,7 @@ impl Member {
             threads: vec![Thread::Running; usize::from(setup.threads)],
             work: Vec::new(),
             visible: BTreeMap::new(),
+            kept: BTreeMap::new(),
             stored: BTreeMap::new(),
             oracle: Oracle::default(),
             skew_us: 0,
@@ -150,13 +154,20 @@ impl Member {
                         packet.expect("a part of a page comes with a message"),
                     );
                 }
-                Output::Map { page, slot, bytes } => {
-                    self.map(page, slot, bytes, packet.expect("so does a page"))
-                }
+                Output::Map { page, slot, bytes } => self.map(page, slot, bytes, packet),
                 Output::Unmap { page, slot } => {
-                    let visible = self.visible.get(&page.0);
-                    assert_eq!(visible, Some(&slot.0), "SLOT_HOLDS_ONE_PAGE: {page} is taken away unseen");
+                    let kept = self.kept.get(&slot.0);
+                    assert_eq!(
+                        kept,
+                        Some(&page.0),
+                        "SLOT_HOLDS_ONE_PAGE: {page} is taken away and is not there"
+                    );
                     self.work.push(Work::Unmap { page });
+                }
+                Output::Hide { page, slot } => {
+                    let visible = self.visible.get(&page.0);
+                    assert_eq!(visible, Some(&slot.0), "SLOT_HOLDS_ONE_PAGE: {page} is hidden unseen");
+                    self.work.push(Work::Hide { page });
                 }
                 Output::WakePage { page } => {
                     woken.extend(self.waiting(
@@ -182,9 +193,13 @@ impl Member {
         stored.has[offset as usize..(offset + bytes) as usize].fill(true);
     }
 
-    fn map(&mut self, page: PageId, slot: SlotId, bytes: PageBytes, packet: &Packet) {
+    fn map(&mut self, page: PageId, slot: SlotId, bytes: PageBytes, packet: Option<&Packet>) {
         match bytes {
-            PageBytes::InMessage => packet.assert_is_of(page),
+            PageBytes::InMessage => packet.expect("a page comes with a message").assert_is_of(page),
+            PageBytes::Kept => {
+                let kept = self.kept.get(&slot.0);
+                assert_eq!(kept, Some(&page.0), "RIGHT_BYTES: {page} is shown and is not there");
+            }
             PageBytes::Stored => {
                 let stored = self.stored.get(&slot.0).filter(|stored| stored.page == page.0);
                 let is_whole = stored.is_some_and(|stored| stored.has.iter().all(|has| *has));
@@ -209,11 +224,17 @@ impl Member {
                     slot.0
                 );
                 self.visible.insert(page.0, slot.0);
+                self.kept.insert(slot.0, page.0);
                 self.input(None, |node| node.handle_filled(now, page))
             }
             Work::Unmap { page } => {
                 self.visible.remove(&page.0);
+                self.kept.retain(|_, other| *other != page.0);
                 self.input(None, |node| node.handle_unmapped(now, page))
+            }
+            Work::Hide { page } => {
+                self.visible.remove(&page.0);
+                self.input(None, |node| node.handle_covered(now, page))
             }
         };
         (sent, woken)
@@ -232,7 +253,7 @@ impl Member {
                 Thread::Running
             }
             Fault::Failed(_) => Thread::Running,
-            Fault::Fetch => Thread::Fetching(wait),
+            Fault::Fetch | Fault::Show => Thread::Fetching(wait),
             Fault::Wait => Thread::WaitingForPage(wait),
             Fault::Full => Thread::WaitingForSlot(wait),
         };

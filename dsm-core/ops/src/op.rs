@@ -6,7 +6,8 @@
 /// state, or nothing. Made by proptest and the fuzzer, listed by [`World::enabled`](crate::World::enabled).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Op {
-    /// A thread reads a page. Without effect while it waits for another.
+    /// A thread reads a page; of the upper quarter of the numbers, it asks for it ahead. Without effect while it waits for
+    /// another.
     Read {
         /// Which node.
         node: u8,

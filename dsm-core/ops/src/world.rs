@@ -39,6 +39,8 @@ pub struct Setup {
     pub evict_batch: u8,
     /// See [`Config::evict_ahead`].
     pub evict_ahead: u8,
+    /// See [`Config::hidden_max`]; less than the slots.
+    pub hidden: u8,
     /// Parts in which pages travel; 1 for whole pages.
     pub fragments: u8,
     /// Sendings to one copy before the next is asked.
@@ -88,6 +90,9 @@ pub(crate) struct Packet {
     pub(crate) page: Option<u32>,
 }
 
+/// Reads of pages from this number on ask for them ahead.
+const AHEAD: u8 = 192;
+
 /// Length of a page. Real ones are longer; what matters is that there are units to be cut into.
 pub(crate) const PAGE_BYTES: u32 = 64;
 
@@ -134,6 +139,7 @@ impl Setup {
             replicas: 1 + cluster / 2 % 3,
             stripe_pages: 1 + cluster / 6 % 3,
             slots: 1 + node % 4,
+            hidden: (node / 24 % 4).min(node % 4),
             policy: policies[usize::from(node / 4) % policies.len()],
             evict_batch: 1 + asking % 3,
             evict_ahead: asking / 3 % 3,
@@ -158,6 +164,7 @@ impl Setup {
         policy: PolicyKind::Fifo,
         evict_batch: 1,
         evict_ahead: 0,
+        hidden: 0,
         fragments: 1,
         tries: 2,
         is_rigid: false,
@@ -180,6 +187,7 @@ impl Setup {
             incarnation,
             evict_batch: self.evict_batch.into(),
             evict_ahead: self.evict_ahead.into(),
+            hidden_max: self.hidden.into(),
             fragments: self.fragments > 1,
             resend_us: RESEND_US,
             resend_us_min: RESEND_US,
@@ -222,9 +230,14 @@ impl World {
         match op {
             Op::Read { node, thread, page } => {
                 let (node, thread) = (node_of(node), usize::from(thread % self.setup.threads));
+                let is_ahead = page >= AHEAD;
                 let page = PageId(u32::from(page % self.setup.pages));
                 if self.members[node].is_alive && self.members[node].threads[thread] == Thread::Running {
-                    self.fault(node, thread, page, None);
+                    if is_ahead {
+                        self.prefetch(node, thread, page);
+                    } else {
+                        self.fault(node, thread, page, None);
+                    }
                 }
             }
             Op::Deliver(index) => {
@@ -427,10 +440,25 @@ impl World {
         match answer {
             Fault::Ready => self.served += 1,
             Fault::Failed(_) => self.failed += 1,
-            Fault::Fetch | Fault::Wait | Fault::Full => {}
+            Fault::Fetch | Fault::Show | Fault::Wait | Fault::Full => {}
         }
         let wait = again.unwrap_or(Wait { page, since: now, world_since: world_now });
         member.settle(thread, answer, wait);
+        self.carry_out(node, sent, woken);
+    }
+
+    /// A thread asks for a page before it touches it, and waits for it, if it may.
+    fn prefetch(&mut self, node: usize, thread: usize, page: PageId) {
+        let world_now = self.now;
+        let now = self.members[node].time(world_now);
+        let (_, sent, woken) = self.members[node].input(None, |node| node.handle_prefetch_wish(now, 1));
+        self.carry_out(node, sent, woken);
+        let member = &mut self.members[node];
+        let (is_asked, sent, woken) =
+            member.input(None, |node| node.handle_prefetch(now, page, port(thread)));
+        if is_asked {
+            member.threads[thread] = Thread::Fetching(Wait { page, since: now, world_since: world_now });
+        }
         self.carry_out(node, sent, woken);
     }
 
@@ -745,7 +773,12 @@ impl World {
                             let state = node.table().state(wait.page);
                             let is_coming = matches!(
                                 state,
-                                Some(PageState::Requested | PageState::Filling | PageState::Leaving)
+                                Some(
+                                    PageState::Requested
+                                        | PageState::Filling
+                                        | PageState::Leaving
+                                        | PageState::Hiding
+                                )
                             );
                             assert!(is_coming, "NO_LOST_WAITER: for {}, which is {state:?}", wait.page);
                         }

@@ -144,6 +144,7 @@ impl<R: Replacement> Node<'_, R> {
         }
         let added = request.fragments.add(page_bytes, offset, bytes);
         if request.holder == from {
+            request.has_advanced |= added != Added::Nothing;
             // It is on its way: what is missing may be asked for again a whole round trip from now.
             request.resend_at = now.after(self.membership.timeout_us(from));
         }
@@ -167,10 +168,13 @@ impl<R: Replacement> Node<'_, R> {
         let page = self.requests.remove(index).page;
         if let (Effect::Map, Some(slot)) = (self.apply(page, PageEvent::Grant), self.table.slot(page)) {
             self.stats.fetched_pages += 1;
+            if !self.table.slots_mut()[slot.index()].prefetched {
+                self.prefetch.used();
+            }
             self.push(Pending::Done(Output::Map { page, slot, bytes }));
             if mutants::is_on(Mutant::EvictInUse) {
                 self.apply(page, PageEvent::Filled);
-                self.replacement.handle_resident(self.table.slots_mut(), slot);
+                self.residents.handle_resident(self.table.slots_mut(), slot);
             }
         }
         if was_full {

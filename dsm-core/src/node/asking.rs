@@ -40,9 +40,10 @@ impl<R: Replacement> Node<'_, R> {
             request.resend_at = request.deadline;
             return;
         }
-        let RequestEntry { tries, backoff, is_orphan, .. } = *request;
+        let RequestEntry { tries, backoff, is_orphan, has_advanced, .. } = *request;
         if !is_orphan {
-            self.membership.timed_out(now, holder, backoff);
+            // Who sends parts of a page does not need more time, but the parts that were lost.
+            self.membership.timed_out(now, holder, if has_advanced { backoff } else { backoff + 1 });
         }
         match self.membership.liveness(holder) {
             Liveness::Alive if !is_orphan && tries < self.config.tries => {
@@ -105,8 +106,8 @@ impl<R: Replacement> Node<'_, R> {
         self.send(now, index);
     }
 
-    /// The copy to ask, and its place among the holders: of those that are not dead and have not refused, one that has
-    /// not had its turn, that is not suspected, and that costs least. When all have had their turn, a new round begins.
+    /// The copy to ask, and its place among the holders: of those that have not refused and are alive, or failing that are not
+    /// dead, one that has not had its turn and that costs least. When all have had their turn, a new round begins.
     fn choose(&mut self, index: usize) -> Option<(usize, NodeId)> {
         let request = self.requests.get_mut(index);
         let home = self.config.placement.home(request.page)?;
@@ -118,14 +119,16 @@ impl<R: Replacement> Node<'_, R> {
         let may_answer = |(place, holder): &(usize, NodeId)| {
             request.refused & (1 << place) == 0 && self.membership.liveness(*holder) != Liveness::Dead
         };
-        let candidates = || holders.as_slice().iter().copied().enumerate().filter(may_answer);
+        let may_answer = || holders.as_slice().iter().copied().enumerate().filter(may_answer);
+        // While another copy is thought to be alive, a suspected one is only probed.
+        let best = may_answer().map(|(_, holder)| self.membership.liveness(holder)).min()?;
+        let candidates = || may_answer().filter(|(_, holder)| self.membership.liveness(*holder) == best);
         if candidates().all(|(place, _)| request.asked & (1 << place) != 0) {
             request.asked = 0;
         }
         let asked = request.asked;
-        candidates().min_by_key(|(place, holder)| {
-            (asked & (1 << place), self.membership.liveness(*holder), self.membership.cost(*holder), *place)
-        })
+        candidates()
+            .min_by_key(|(place, holder)| (asked & (1 << place), self.membership.cost(*holder), *place))
     }
 
     /// Asks a suspected holder too, now and then: whatever it answers makes it alive again.
@@ -150,6 +153,7 @@ impl<R: Replacement> Node<'_, R> {
         request.tries = request.tries.saturating_add(1);
         request.backoff = self.membership.backoff(holder);
         request.is_orphan = false;
+        request.has_advanced = false;
         let wait_us = self.membership.timeout_us(holder).min(self.share_us(now, index));
         self.requests.get_mut(index).resend_at = now.after(wait_us);
         self.transmit(now, index, holder);

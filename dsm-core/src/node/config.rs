@@ -28,6 +28,9 @@ pub struct Config {
     /// Evict when fewer slots than this are free or leaving, in the shadow of a request that is under way anyway.
     /// 0: evict when a fault finds no slot.
     pub evict_ahead: u32,
+    /// Pages that are hidden before they leave, at most; less than there are slots. 0: none. See
+    /// [`Residents`](crate::replacement::Residents).
+    pub hidden_max: u32,
     /// Pages may come in fragments; the driver stores them as [`Output::Store`](super::Output::Store) says. Else a grant
     /// of less than a page is refused.
     pub fragments: bool,
@@ -83,6 +86,7 @@ impl Config {
             page_bytes,
             evict_batch: 1,
             evict_ahead: 0,
+            hidden_max: 0,
             fragments: false,
             resend_us: 10_000,
             resend_us_min: 1_000,

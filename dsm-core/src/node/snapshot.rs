@@ -8,7 +8,8 @@ use super::{Config, Node};
 use crate::id::PageId;
 use crate::membership::Membership;
 use crate::page_table::{Lists, PageTable};
-use crate::replacement::{Policy, Replacement};
+use crate::prefetch::Account;
+use crate::replacement::{Policy, Replacement, Residents};
 use crate::request::Requests;
 use crate::stats::NodeStats;
 use crate::storage::Storage;
@@ -23,10 +24,11 @@ pub struct Snapshot<R = Policy> {
     lists: Lists,
     request_count: usize,
     is_even: bool,
-    replacement: R,
+    residents: Residents<R>,
     clock: SteadyClock,
     slot_waited_for: bool,
     next_number: u32,
+    prefetch: Account,
     stats: NodeStats,
 }
 
@@ -43,10 +45,11 @@ impl<R: Replacement> Node<'_, R> {
             lists: self.table.lists(),
             request_count: self.requests.len(),
             is_even: self.membership.is_even(),
-            replacement: self.replacement,
+            residents: self.residents,
             clock: self.clock,
             slot_waited_for: self.slot_waited_for,
             next_number: self.next_number,
+            prefetch: self.prefetch,
             stats: self.stats,
         }
     }
@@ -73,11 +76,12 @@ impl<R: Replacement> Snapshot<R> {
             membership: Membership::new(peers, first_owner, config.patience(), config.limits())
                 .with_evenness(self.is_even),
             config,
-            replacement: self.replacement,
+            residents: self.residents,
             clock: self.clock,
             outbox: Deque::new(),
             slot_waited_for: self.slot_waited_for,
             next_number: self.next_number,
+            prefetch: self.prefetch,
             stats: self.stats,
         }
     }

@@ -35,22 +35,22 @@ impl Default for Clock {
 
 impl Replacement for Clock {
     fn handle_resident(&mut self, slots: &mut [SlotEntry], slot: SlotId) {
-        slots[slot.index()].referenced = false;
+        slots[slot.index()].uses = 0;
         self.queue.push(slots, slot);
     }
 
     fn handle_reference(&mut self, slots: &mut [SlotEntry], slot: SlotId) {
-        slots[slot.index()].referenced = true;
+        slots[slot.index()].uses = 1;
     }
 
     fn choose_victim(&mut self, slots: &mut [SlotEntry]) -> Option<SlotId> {
         // Every round clears one bit, so the loop ends after one turn of the clock at the latest.
         loop {
             let slot = self.queue.pop(slots)?;
-            if !slots[slot.index()].referenced {
+            if slots[slot.index()].uses == 0 {
                 return Some(slot);
             }
-            slots[slot.index()].referenced = false;
+            slots[slot.index()].uses = 0;
             self.queue.push(slots, slot);
         }
     }

@@ -4,13 +4,27 @@
 //! wants to know which pages are used must get its *reference bits* from somewhere else, and says where.
 
 mod clock;
+mod dice;
 mod fifo;
+mod ghosts;
 mod queue;
 mod random;
+mod recall;
+mod reference;
+mod replay;
+mod residents;
+mod s3_fifo;
+mod sieve;
 
 pub use clock::Clock;
 pub use fifo::Fifo;
 pub use random::Random;
+pub use recall::Recall;
+pub use reference::{ReferenceSource, UnknownSource};
+pub use replay::{Replay, Touch};
+pub use residents::Residents;
+pub use s3_fifo::S3Fifo;
+pub use sieve::Sieve;
 
 use core::fmt;
 use core::str::FromStr;
@@ -31,6 +45,17 @@ pub trait Replacement: fmt::Debug {
 
     /// The slot whose page is to leave, or `None` when no page is resident. Forgets the slot.
     fn choose_victim(&mut self, slots: &mut [SlotEntry]) -> Option<SlotId>;
+
+    /// The same, for a page that nobody waits for yet: `None` too when what is resident is needed sooner.
+    fn choose_victim_for_prefetch(&mut self, slots: &mut [SlotEntry]) -> Option<SlotId> {
+        self.choose_victim(slots)
+    }
+
+    /// The page in `slot` is expected to be used next at tile `next_use`.
+    fn handle_forecast(&mut self, _slots: &mut [SlotEntry], _slot: SlotId, _next_use: u32) {}
+
+    /// Tile `now` is being drawn, and the next frame begins with tile `frame_end`.
+    fn handle_clock(&mut self, _now: u32, _frame_end: u32) {}
 }
 
 /// The policies by name.
@@ -42,6 +67,12 @@ pub enum PolicyKind {
     Fifo,
     /// The page that came first and was not used since the hand last passed.
     Clock,
+    /// As `clock`, but a page that was used keeps its place.
+    Sieve,
+    /// A page of a small queue of newcomers, unless it was used; then one of the main queue.
+    S3Fifo,
+    /// The page that is needed last, as far as the last frame tells.
+    Recall,
 }
 
 /// One of the policies, chosen at run time.
@@ -51,6 +82,9 @@ pub enum Policy {
     Random(Random),
     Fifo(Fifo),
     Clock(Clock),
+    Sieve(Sieve),
+    S3Fifo(S3Fifo),
+    Recall(Recall),
 }
 
 /// No policy has this name.
@@ -58,13 +92,16 @@ pub enum Policy {
 pub struct UnknownPolicy;
 
 impl Policy {
-    /// A policy that knows of no page yet. Only `random` uses the seed.
+    /// A policy that knows of no page yet. `random` and `recall` use the seed.
     #[must_use]
     pub fn new(kind: PolicyKind, seed: u64) -> Self {
         match kind {
             PolicyKind::Random => Self::Random(Random::new(seed)),
             PolicyKind::Fifo => Self::Fifo(Fifo::new()),
             PolicyKind::Clock => Self::Clock(Clock::new()),
+            PolicyKind::Sieve => Self::Sieve(Sieve::new()),
+            PolicyKind::S3Fifo => Self::S3Fifo(S3Fifo::new()),
+            PolicyKind::Recall => Self::Recall(Recall::new(seed)),
         }
     }
 }
@@ -75,6 +112,9 @@ impl Replacement for Policy {
             Self::Random(policy) => policy.handle_resident(slots, slot),
             Self::Fifo(policy) => policy.handle_resident(slots, slot),
             Self::Clock(policy) => policy.handle_resident(slots, slot),
+            Self::Sieve(policy) => policy.handle_resident(slots, slot),
+            Self::S3Fifo(policy) => policy.handle_resident(slots, slot),
+            Self::Recall(policy) => policy.handle_resident(slots, slot),
         }
     }
 
@@ -83,6 +123,9 @@ impl Replacement for Policy {
             Self::Random(policy) => policy.handle_reference(slots, slot),
             Self::Fifo(policy) => policy.handle_reference(slots, slot),
             Self::Clock(policy) => policy.handle_reference(slots, slot),
+            Self::Sieve(policy) => policy.handle_reference(slots, slot),
+            Self::S3Fifo(policy) => policy.handle_reference(slots, slot),
+            Self::Recall(policy) => policy.handle_reference(slots, slot),
         }
     }
 
@@ -91,13 +134,38 @@ impl Replacement for Policy {
             Self::Random(policy) => policy.choose_victim(slots),
             Self::Fifo(policy) => policy.choose_victim(slots),
             Self::Clock(policy) => policy.choose_victim(slots),
+            Self::Sieve(policy) => policy.choose_victim(slots),
+            Self::S3Fifo(policy) => policy.choose_victim(slots),
+            Self::Recall(policy) => policy.choose_victim(slots),
+        }
+    }
+
+    fn choose_victim_for_prefetch(&mut self, slots: &mut [SlotEntry]) -> Option<SlotId> {
+        match self {
+            Self::Recall(policy) => policy.choose_victim_for_prefetch(slots),
+            Self::Random(_) | Self::Fifo(_) | Self::Clock(_) | Self::Sieve(_) | Self::S3Fifo(_) => {
+                self.choose_victim(slots)
+            }
+        }
+    }
+
+    fn handle_forecast(&mut self, slots: &mut [SlotEntry], slot: SlotId, next_use: u32) {
+        if let Self::Recall(policy) = self {
+            policy.handle_forecast(slots, slot, next_use);
+        }
+    }
+
+    fn handle_clock(&mut self, now: u32, frame_end: u32) {
+        if let Self::Recall(policy) = self {
+            policy.handle_clock(now, frame_end);
         }
     }
 }
 
 impl PolicyKind {
     /// All policies.
-    pub const ALL: [Self; 3] = [Self::Random, Self::Fifo, Self::Clock];
+    pub const ALL: [Self; 6] =
+        [Self::Random, Self::Fifo, Self::Clock, Self::Sieve, Self::S3Fifo, Self::Recall];
 
     /// The policy's name, as the command line and the reports spell it.
     #[must_use]
@@ -106,6 +174,9 @@ impl PolicyKind {
             Self::Random => "random",
             Self::Fifo => "fifo",
             Self::Clock => "clock",
+            Self::Sieve => "sieve",
+            Self::S3Fifo => "s3-fifo",
+            Self::Recall => "recall",
         }
     }
 }
@@ -126,11 +197,15 @@ impl fmt::Display for PolicyKind {
 
 impl fmt::Display for UnknownPolicy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("no replacement policy has this name; there are random, fifo and clock")
+        f.write_str(
+            "no replacement policy has this name; there are random, fifo, clock, sieve, s3-fifo and recall",
+        )
     }
 }
 
 impl core::error::Error for UnknownPolicy {}
 
+#[cfg(test)]
+mod models;
 #[cfg(test)]
 mod tests;

@@ -13,6 +13,7 @@ use core::fmt;
 use core::str::FromStr;
 
 use dsm_core::id::{PageId, SlotId};
+use dsm_core::replacement::ReferenceSource;
 use dsm_core::transport::Body;
 
 use crate::area::Area;
@@ -66,6 +67,34 @@ impl Backend {
         }
     }
 
+    /// Takes pages from their readers' sight and keeps their bytes. Only where [`reference`](Self::reference) says so.
+    pub(crate) fn hide(&self, area: &Area, pages: &[(PageId, SlotId)]) -> Result<(), Errno> {
+        match self {
+            Self::Segv(segv) => segv.hide(area, pages),
+            Self::Uffd(_) | Self::Soft(_) => Err(Errno(libc::ENOTSUP)),
+        }
+    }
+
+    /// Brings a hidden page back.
+    pub(crate) fn show(&self, area: &Area, page: PageId) -> Result<(), Errno> {
+        match self {
+            Self::Segv(segv) => segv.show(area, page),
+            Self::Uffd(_) | Self::Soft(_) => Err(Errno(libc::ENOTSUP)),
+        }
+    }
+
+    /// How many of `slot_count` slots may hold hidden pages, of the share in per cent that is wanted. `soft` sees its
+    /// accesses and hides nothing.
+    pub(crate) fn hidden_max(&self, wanted: ReferenceSource, slot_count: u32, per_cent: u32) -> u32 {
+        match (self, wanted) {
+            (Self::Segv(_), ReferenceSource::SoftFaults) => {
+                let hidden = u64::from(slot_count) * u64::from(per_cent.min(100)) / 100;
+                u32::try_from(hidden).unwrap_or(0).min(slot_count.saturating_sub(1))
+            }
+            _ => 0,
+        }
+    }
+
     /// Makes a page that cannot be had readable as zeros, so that the load that waits for it can end. It costs no
     /// memory and no slot.
     pub(crate) fn give_zeros(&self, area: &Area, page: PageId) -> Result<(), Errno> {
@@ -74,6 +103,16 @@ impl Backend {
             Self::Segv(segv) => segv.give_zeros(area, page),
             // Nobody waits inside a load: the reader is told.
             Self::Soft(_) => Ok(()),
+        }
+    }
+
+    /// What this backend can do of a source of reference bits.
+    pub(crate) const fn reference(&self, wanted: ReferenceSource) -> ReferenceSource {
+        match (self, wanted) {
+            // To hide a page would split the one mapping that makes this backend fast, and costs with the way back
+            // more than a page from another process of this machine; see bench/README.
+            (Self::Uffd(_), ReferenceSource::SoftFaults) => ReferenceSource::Hints,
+            _ => wanted,
         }
     }
 

@@ -58,6 +58,22 @@ impl Segv {
         unsafe { sys::map_nothing_over(area.address(page), area.page_bytes(), libc::PROT_READ) }
     }
 
+    /// Takes pages from their readers' sight. Their bytes stay in their slots.
+    pub(super) fn hide(&self, area: &Area, pages: &[(PageId, SlotId)]) -> Result<(), Errno> {
+        for (page, _) in pages {
+            // SAFETY: the page lies in our area, and the state machine has declared it hiding: a reader that comes
+            // now faults and waits.
+            unsafe { sys::protect(area.address(*page), area.page_bytes(), libc::PROT_NONE) }?;
+        }
+        Ok(())
+    }
+
+    /// Brings a hidden page back.
+    pub(super) fn show(&self, area: &Area, page: PageId) -> Result<(), Errno> {
+        // SAFETY: the page lies in our area, and its slot was not written since it was hidden.
+        unsafe { sys::protect(area.address(page), area.page_bytes(), libc::PROT_READ) }
+    }
+
     pub(super) fn take_away(&self, area: &Area, victims: &[(PageId, SlotId)]) -> Result<(), Errno> {
         for (page, _) in victims {
             // SAFETY: the page lies in our area, and the state machine has declared it leaving: a reader that comes

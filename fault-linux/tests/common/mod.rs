@@ -11,7 +11,7 @@ use dsm_core::home::Home;
 use dsm_core::id::NodeId;
 use dsm_core::node::Config;
 use dsm_core::placement::Stripes;
-use dsm_core::replacement::PolicyKind;
+use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use fault_linux::{BackendKind, Region, Setup};
 use transport_shm::{DirectPort, PageFile};
 
@@ -40,7 +40,17 @@ impl Scene {
     pub(crate) fn region(&self, backend: Option<BackendKind>) -> Arc<Region> {
         let home = Some(self.page_file(ME).as_fd().try_clone_to_owned().unwrap());
         let Self { policy, slots: slot_count, .. } = *self;
-        let setup = Setup { node: self.config(), policy, seed: 1, slot_count, home, backend };
+        let setup = Setup {
+            node: self.config(),
+            policy,
+            reference: ReferenceSource::SoftFaults,
+            hidden_per_cent: 40,
+            prefetch: false,
+            seed: 1,
+            slot_count,
+            home,
+            backend,
+        };
         // SAFETY: nobody writes the page files once they are filled.
         unsafe { Region::new(setup) }.unwrap()
     }

@@ -5,8 +5,14 @@
 //! *sure*; those that could be covered are *candidates*. A candidate that is not sure is decided by its ray.
 
 use super::projection::Projected;
-use super::walk::Triangles;
-use crate::simd::{Mask, Simd, each};
+use crate::simd::{LANES, Mask, Simd, each};
+
+/// A triangle in each lane, ready to be tested at points.
+#[derive(Clone, Copy)]
+pub(super) struct Edges<F> {
+    pub(super) corners: [Projected<F>; 3],
+    pub(super) margins: Margins<F>,
+}
 
 /// What is the same for all points that a triangle is tested at.
 #[derive(Clone, Copy)]
@@ -15,6 +21,12 @@ pub(super) struct Margins<F> {
     pub(super) edge: F,
     /// Times one over the sum of the edge functions: uncertainty of the inverse depth from that of the edges.
     pub(super) depth: F,
+}
+
+/// [`Edges`] lane by lane, to take single triangles out of.
+pub(super) struct EdgesByLane {
+    corners: [[[f32; LANES]; 3]; 3],
+    margins: [[f32; LANES]; 2],
 }
 
 /// Points against triangles, lane by lane.
@@ -53,7 +65,7 @@ impl<F: Copy> Extent<F> {
         }
     }
 
-    /// Margins for points inside the box.
+    /// The triangles with their margins for points inside the box.
     ///
     /// An edge function is a difference of two products of coordinates, relative to the point, of two corners. Moving
     /// the coordinates by `delta` each changes it by at most `delta` times the sum of their sizes, which is at most
@@ -64,46 +76,65 @@ impl<F: Copy> Extent<F> {
     /// determinant of the corners over the sum of the edge functions. Those are rounded too: by `3 * 2^-24` of the
     /// square of the size each, times the range of inverse depths.
     #[inline(always)]
-    pub(super) fn margins<S: Simd<F = F>>(&self, s: S, triangles: &Triangles<'_, S>) -> Margins<F> {
-        let delta = triangles.delta;
+    pub(super) fn edges<S: Simd<F = F>>(&self, s: S, corners: &[Projected<F>; 3], delta: f32) -> Edges<F> {
         let size = s.add(s.sub(self.right, self.left), s.sub(self.bottom, self.top));
         let edge = s.add(s.mul(size, s.splat(delta * 2.125)), s.splat(delta * delta * 4.0));
-        let [a, b, c] = triangles.corners;
+        let [a, b, c] = *corners;
         let (from_b, from_c) = (s.sub(b.w, a.w), s.sub(c.w, a.w));
         let slope_x = edge_of(s, [from_b, s.sub(b.y, a.y)], [from_c, s.sub(c.y, a.y)]);
         let slope_y = edge_of(s, [from_b, s.sub(b.x, a.x)], [from_c, s.sub(c.x, a.x)]);
         let slopes = s.add(s.abs(slope_x), s.abs(slope_y));
         let rounding = s.mul(s.mul(size, size), s.mul(s.sub(self.near, self.far), s.splat(ROUNDING)));
-        Margins { edge, depth: s.add(s.mul(slopes, s.splat(delta * 1.125)), rounding) }
+        let depth = s.add(s.mul(slopes, s.splat(delta * 1.125)), rounding);
+        Edges { corners: *corners, margins: Margins { edge, depth } }
     }
 }
 
-/// Tests points `(x, y)` against triangles, lane by lane.
-#[inline(always)]
-pub(super) fn cover<S: Simd>(
-    s: S,
-    triangles: &Triangles<'_, S>,
-    (x, y): (S::F, S::F),
-    margins: &Margins<S::F>,
-    lanes: Mask,
-) -> Option<Covered<S::F>> {
-    let corners = &triangles.corners;
-    let [ax, bx, cx] = each!(3: *corners, corner => s.sub(corner.x, x));
-    let [ay, by, cy] = each!(3: *corners, corner => s.sub(corner.y, y));
-    let weights =
-        [edge_of(s, [bx, by], [cx, cy]), edge_of(s, [cx, cy], [ax, ay]), edge_of(s, [ax, ay], [bx, by])];
-    let (least, greatest) = (s.min3(weights), s.max3(weights));
-    let below = s.sub(s.splat(0.0), margins.edge);
-    let candidates = (s.le(below, least) | s.le(greatest, margins.edge)) & lanes;
-    if candidates == 0 {
-        return None;
+impl<F: Copy> Edges<F> {
+    #[inline(always)]
+    pub(super) fn by_lane<S: Simd<F = F>>(&self, s: S) -> EdgesByLane {
+        EdgesByLane {
+            corners: each!(3: self.corners, corner => [s.array(corner.x), s.array(corner.y), s.array(corner.w)]),
+            margins: [s.array(self.margins.edge), s.array(self.margins.depth)],
+        }
     }
-    let sure = (s.lt(margins.edge, least) | s.lt(greatest, below)) & lanes;
-    let per_sum = s.div(s.splat(1.0), s.add(s.add(weights[0], weights[1]), weights[2]));
-    let inverse_depth = s.mul(s.dot(weights, each!(3: *corners, corner => corner.w)), per_sum);
-    let margin =
-        s.add(s.abs(s.mul(margins.depth, per_sum)), s.mul(inverse_depth, s.splat(triangles.depth_epsilon)));
-    Some(Covered { candidates, sure, low: s.sub(inverse_depth, margin), high: s.add(inverse_depth, margin) })
+
+    /// Tests points `(x, y)` against the triangles, lane by lane.
+    #[inline(always)]
+    pub(super) fn cover<S: Simd<F = F>>(&self, s: S, (x, y): (F, F), depth_epsilon: f32) -> Covered<F> {
+        let [ax, bx, cx] = each!(3: self.corners, corner => s.sub(corner.x, x));
+        let [ay, by, cy] = each!(3: self.corners, corner => s.sub(corner.y, y));
+        let weights =
+            [edge_of(s, [bx, by], [cx, cy]), edge_of(s, [cx, cy], [ax, ay]), edge_of(s, [ax, ay], [bx, by])];
+        let (least, greatest) = (s.min3(weights), s.max3(weights));
+        let margin = self.margins.edge;
+        let below = s.sub(s.splat(0.0), margin);
+        let per_sum = s.div(s.splat(1.0), s.add(s.add(weights[0], weights[1]), weights[2]));
+        let inverse_depth = s.mul(s.dot(weights, each!(3: self.corners, corner => corner.w)), per_sum);
+        let unsure = s.abs(s.mul(self.margins.depth, per_sum));
+        let unsure = s.add(unsure, s.mul(inverse_depth, s.splat(depth_epsilon)));
+        Covered {
+            candidates: s.le(below, least) | s.le(greatest, margin),
+            sure: s.lt(margin, least) | s.lt(greatest, below),
+            low: s.sub(inverse_depth, unsure),
+            high: s.add(inverse_depth, unsure),
+        }
+    }
+}
+
+impl EdgesByLane {
+    /// One triangle, in all lanes.
+    #[inline(always)]
+    pub(super) fn splat<S: Simd>(&self, s: S, lane: usize) -> Edges<S::F> {
+        Edges {
+            corners: each!(3: &self.corners, [x, y, w] => Projected {
+                x: s.splat(x[lane]),
+                y: s.splat(y[lane]),
+                w: s.splat(w[lane]),
+            }),
+            margins: Margins { edge: s.splat(self.margins[0][lane]), depth: s.splat(self.margins[1][lane]) },
+        }
+    }
 }
 
 /// The edge function of two corners around 0. Products are rounded apart, so swapping the corners negates it exactly.

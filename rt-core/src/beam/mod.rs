@@ -2,14 +2,19 @@
 //!
 //! # How it goes
 //! 1. At a branch the 64 cells are culled at once against the four sides of the pyramid and the farthest depth that
-//!    still matters ([`frustum`]); what is left is taken front to back ([`walk`]).
-//! 2. A leaf's tight box is tested against the sixteen *blocks* of the pyramid, and against what each block already
-//!    sees.
-//! 3. The vertices of a cluster are projected into the plane of the tile ([`projection`]), its triangles taken
-//!    sixteen at a time: most miss every pixel. Small ones are tested a pixel each, sixteen triangles at once; large
-//!    ones against blocks of 4x4 pixels ([`edges`], [`pixels`]).
+//!    still matters ([`frustum`]); inner cells are taken front to back ([`walk`]).
+//! 2. The tight boxes of a branch's leaves are projected into the plane of the tile, sixteen at a time ([`boxes`]).
+//!    Those that show wait ([`queue`]); the nearest is next, if by then some pixel does not see anything nearer.
+//! 3. The vertices of a cluster are projected ([`triangles`]), its triangles taken sixteen at a time: most miss every
+//!    pixel. Small ones are tested a pixel each, sixteen triangles at once; large ones against blocks of 4x4 pixels
+//!    ([`pixel_tests`], [`edges`]). Pixels remember depths and names ([`pixels`], [`winners`]).
 //! 4. Points, normals and light of sixteen pixels at a time ([`surface`]).
-//! 5. Shadows: the same with the light as the eye and the lit points as the pixels ([`samples`]).
+//! 5. Shadows: the same with the light as the eye and the lit points as the pixels ([`points`], [`samples`],
+//!    [`sample_tests`]).
+//!
+//! # What keeps it fast
+//! Each step has full lanes and few branches that cannot be foretold: candidates are packed together before the next
+//! step looks at them. A wrong guess of a branch costs as much as testing sixteen triangles.
 //!
 //! # Why it draws what rays draw
 //! Projection is rounded, so it only *proposes*. Its uncertainty is bounded ([`Projection`](projection::Projection));
@@ -27,30 +32,37 @@
     reason = "numbers of lanes, blocks, pixels and triangles of one tile; they are small and not negative"
 )]
 
+mod boxes;
 mod edges;
 mod frustum;
+mod pixel_tests;
 mod pixels;
 mod points;
 mod projection;
+mod queue;
+mod sample_tests;
 mod samples;
 mod surface;
+mod triangles;
 mod walk;
 mod winners;
 
+use crate::blocks::{BLOCKS, ByBlock, block_and_lane};
 use crate::count::{Count, TileCounts};
 use crate::grid_ray::GridRay;
 use crate::kinds::OnlyTriangles;
 use crate::memory::SceneMemory;
 use crate::scale::Scale;
 use crate::shade;
-use crate::simd::{LANES, Lanes, Mask, Simd, Task, each};
+use crate::simd::{LANES, Lanes, Mask, Simd, Task};
 use crate::tile::{Depths, Tile, TileView};
 use crate::view::Damaged;
 use crate::walk::walk as walk_by_ray;
 use frustum::Frustum;
-use pixels::{ByBlock, Pixels};
+use pixels::Pixels;
 use points::{POINTS_MAX, Points};
 use projection::Projection;
+use sample_tests::Shadows;
 use samples::Samples;
 use surface::{Lighting, surface};
 use walk::{Beam, walk};
@@ -85,12 +97,12 @@ impl<M: SceneMemory, C: Count> Task for Draw<'_, M, C> {
         };
         let lighting = Lighting { eye: view.eye, light: view.light, shadow_offset: view.shadow_offset };
         let mut lit =
-            Lit { grey: [[shade::BACKGROUND; LANES]; LANES], facing: [0; LANES], points: Points::new() };
+            Lit { grey: [[shade::BACKGROUND; LANES]; BLOCKS], facing: [0; BLOCKS], points: Points::new() };
         let mut depths = Depths::new();
-        for block in 0..LANES {
+        for block in 0..BLOCKS {
             let hit = pixels.hit[block];
             if hit != 0 {
-                let seen = surface(s, &pixels, block, &view.frame.camera, tile, &lighting);
+                let seen = surface(s, &pixels, block, &view.frame.camera, tile, &lighting).ok()?;
                 s.store(s.select(hit, seen.t, s.splat(0.0)), depths.block(block));
                 lit.add(s, block, hit, &seen);
             }
@@ -117,11 +129,10 @@ fn see<'a, S: Simd, M: SceneMemory, C: Count>(
     view: &'a TileView<'_, M>,
     tile: Tile,
     work: &mut C,
-) -> Option<Result<Option<Pixels<'a>>, Damaged>> {
+) -> Option<Result<Option<Pixels<'a, M>>, Damaged>> {
     let camera = &view.frame.camera;
     let projection = Projection::of_tile(camera, view.eye, tile)?;
-    let [columns, rows] = pixels::borders(tile);
-    let frustum = Frustum::new(s, &projection, &columns, &rows, &view.scene.header().grid)?;
+    let frustum = Frustum::new(s, &projection, &view.scene.header().grid)?;
     let beam = Beam { projection: &projection, frustum: &frustum };
     let grid = &view.scene.header().grid;
     match view.scene.branch(0) {
@@ -131,8 +142,8 @@ fn see<'a, S: Simd, M: SceneMemory, C: Count>(
         Ok(_) => {}
         Err(damaged) => return Some(Err(damaged)),
     }
-    let mut pixels = Pixels::new(camera, view.eye, tile, projection.depth_epsilon);
-    let walked = walk(s, view.scene, &beam, &mut pixels, work);
+    let mut pixels = Pixels::new(view, tile, projection.depth_epsilon);
+    let walked = walk(s, view.scene, &beam, &mut pixels, work).and_then(|()| pixels.check());
     Some(walked.map(|()| pixels.hit.iter().any(|&hit| hit != 0).then_some(pixels)))
 }
 
@@ -140,7 +151,7 @@ fn see<'a, S: Simd, M: SceneMemory, C: Count>(
 struct Lit {
     /// Greys; where `facing`, those of points that the light reaches.
     grey: ByBlock<f32>,
-    facing: [Mask; LANES],
+    facing: [Mask; BLOCKS],
     points: Points,
 }
 
@@ -151,13 +162,7 @@ impl Lit {
         self.facing[block] = facing;
         let grey = s.select(facing, seen.grey, s.splat(shade::SHADOW));
         s.store(s.select(hit, grey, s.splat(shade::BACKGROUND)), &mut self.grey[block]);
-        let point = each!(3: seen.point, value => s.array(value));
-        let mut left = facing;
-        while left != 0 {
-            let lane = left.trailing_zeros() as usize;
-            left &= left - 1;
-            self.points.push([point[0][lane], point[1][lane], point[2][lane]]);
-        }
+        self.points.push(s, facing, seen.point);
     }
 
     /// Darkens the pixels that the light does not reach, and counts them.
@@ -174,7 +179,7 @@ impl Lit {
         };
         let shadowed = match shadowed {
             Some(shadowed) => shadowed,
-            None => by_rays(&self.points, view, work)?,
+            None => by_rays(s, &self.points, view, work)?,
         };
         let (mut index, mut count) = (0, 0);
         for (grey, &facing) in self.grey.iter_mut().zip(&self.facing) {
@@ -202,16 +207,17 @@ fn by_beam<S: Simd, M: SceneMemory, C: Count>(
     view: &TileView<'_, M>,
     work: &mut C,
 ) -> Result<Option<[bool; POINTS_MAX]>, Damaged> {
-    let [columns, rows] = Samples::borders();
-    let Some(frustum) = Frustum::new(s, projection, &columns, &rows, &view.scene.header().grid) else {
+    let Some(frustum) = Frustum::new(s, projection, &view.scene.header().grid) else {
         return Ok(None);
     };
-    let mut samples = Samples::new(s, points, projection);
-    walk(s, view.scene, &Beam { projection, frustum: &frustum }, &mut samples, work)?;
-    Ok(Some(samples.shadowed))
+    let mut shadows = Shadows::new(Samples::new(s, points, projection));
+    walk(s, view.scene, &Beam { projection, frustum: &frustum }, &mut shadows, work)?;
+    Ok(Some(shadows.samples.shadowed))
 }
 
-fn by_rays<M: SceneMemory, C: Count>(
+#[inline(always)]
+fn by_rays<S: Simd, M: SceneMemory, C: Count>(
+    s: S,
     points: &Points,
     view: &TileView<'_, M>,
     work: &mut C,
@@ -221,7 +227,8 @@ fn by_rays<M: SceneMemory, C: Count>(
         let point = points.get(index);
         let ray = GridRay::new(point, view.light - point, 1.0, Scale::ONE, &view.scene.header().grid);
         if let Some(ray) = ray {
-            *shadowed = walk_by_ray::<M, C, OnlyTriangles, true>(view.scene, &ray, work)?.surface.is_some();
+            *shadowed =
+                walk_by_ray::<S, M, C, OnlyTriangles, true>(s, view.scene, &ray, work)?.surface.is_some();
         }
     }
     Ok(shadowed)
@@ -230,14 +237,15 @@ fn by_rays<M: SceneMemory, C: Count>(
 /// Turns greys into bytes, row by row, as [`shade::byte`] does.
 #[inline(always)]
 fn write<S: Simd>(s: S, grey: &ByBlock<f32>, tile: Tile, bytes: &mut [u8]) {
-    let mut found = [[0; LANES]; LANES];
+    let mut found = [[0; LANES]; BLOCKS];
     for (grey, found) in grey.iter().zip(&mut found) {
         let scaled = s.add(s.mul(s.load(grey), s.splat(255.0)), s.splat(0.5));
         s.store_int(s.to_int(s.min(s.max(scaled, s.splat(0.0)), s.splat(255.0))), found);
     }
     for (y, row) in bytes.chunks_exact_mut(tile.width as usize).enumerate() {
         for (x, byte) in row.iter_mut().enumerate() {
-            *byte = found[y / 4 % 4 * 4 + x / 4 % 4][y % 4 * 4 + x % 4] as u8;
+            let (block, lane) = block_and_lane(x, y);
+            *byte = found[block][lane] as u8;
         }
     }
 }

@@ -2,334 +2,257 @@
 
 use glam::Vec3;
 
-use super::edges::{Extent, Margins, cover};
-use super::frustum::{Borders, Depths};
-use super::projection::Projected;
-use super::walk::{Bounds, Targets, Triangles};
-use super::winners::{Winner, Winners};
+use super::pixel_tests::Lists;
+use super::triangles::{Bounds, Corners, Triangles};
+use super::walk::Targets;
+use super::winners::Winners;
+use crate::blocks::{BLOCKS, first_pixel};
 use crate::camera::Camera;
 use crate::cluster::{Cluster, Nearest};
+use crate::grid::ClusterRef;
+use crate::memory::SceneMemory;
+use crate::ray::Primitive;
 use crate::simd::{LANES, Mask, Simd, each};
 use crate::surface::Surface;
-use crate::tile::Tile;
+use crate::tile::{Tile, TileView};
 use crate::triangle_woop::WoopRay;
-
-/// A value for each pixel of a tile, by *block* of 4x4 pixels, row by row, and within it row by row.
-pub(super) type ByBlock<T> = [[T; LANES]; LANES];
+use crate::view::{Damaged, SceneView};
 
 /// The pixels of a tile.
-pub(super) struct Pixels<'a> {
+pub(super) struct Pixels<'a, M> {
+    scene: &'a SceneView<M>,
     camera: &'a Camera,
     eye: Vec3,
-    tile: Tile,
-    /// Least and greatest inverse depth of the nearest hit so far; 0 where there is none.
-    low: ByBlock<f32>,
-    high: ByBlock<f32>,
-    /// Places of the nearest triangles among the winners.
-    place: ByBlock<u32>,
+    pub(super) tile: Tile,
+    pub(super) blocks: [Block; BLOCKS],
     /// Pixels that have hit something, pixels that there are.
-    pub(super) hit: [Mask; LANES],
-    present: [Mask; LANES],
-    winners: Winners,
-    depths: Depths,
-    /// Full blocks whose depth is out of date.
-    stale: Mask,
+    pub(super) hit: [Mask; BLOCKS],
+    present: [Mask; BLOCKS],
+    pub(super) winners: Winners,
+    /// For each block: what has a smaller inverse depth does not matter.
+    pub(super) waiting: [f32; BLOCKS],
+    /// The least of these.
+    pub(super) least: f32,
+    /// Full blocks of which `waiting` is out of date.
+    stale: u64,
     /// Relative uncertainty of inverse depths.
     depth_epsilon: f32,
+    pub(super) lists: Lists,
+    /// What went wrong when a triangle was looked up again.
+    damaged: Option<Damaged>,
 }
 
-/// The borders of a tile's columns and rows of blocks.
-pub(super) fn borders(tile: Tile) -> [Borders; 2] {
-    [tile.width, tile.height].map(|length| {
-        let end = length as f32 - 1.0;
-        let first = [0.0_f32, 4.0, 8.0, 12.0];
-        Borders { first: first.map(|at| at.min(end)), last: first.map(|at| (at + 3.0).min(end)) }
-    })
+/// What sixteen pixels have found.
+#[derive(Clone, Copy)]
+pub(super) struct Block {
+    /// Least and greatest inverse depth of the nearest hit so far; 0 where there is none.
+    pub(super) low: [f32; LANES],
+    pub(super) high: [f32; LANES],
+    /// Places of the nearest triangles among the winners.
+    pub(super) place: [u32; LANES],
 }
 
-/// Sixteen triangles under test.
-struct Batch<'a, 'b, S: Simd> {
-    triangles: &'a Triangles<'b, S>,
-    margins: Margins<S::F>,
-    /// Greatest inverse depths, and a little more.
-    near: S::F,
-    /// Places among the winners, once they have won anything, and how often places had moved then.
-    places: [Option<(u32, u32)>; LANES],
-}
-
-/// First and last column and row of pixels that each triangle may cover.
-struct Reach<S: Simd> {
-    left: S::I,
-    right: S::I,
-    top: S::I,
-    bottom: S::I,
-}
-
-impl<'a> Pixels<'a> {
-    pub(super) fn new(camera: &'a Camera, eye: Vec3, tile: Tile, depth_epsilon: f32) -> Self {
-        let present: [Mask; LANES] = core::array::from_fn(|block| {
-            let count = |length: u32, at: usize| length as i32 - 4 * at as i32;
-            let columns = in_range(0, count(tile.width, block % 4) - 1, 0);
-            let rows = in_range(0, count(tile.height, block / 4) - 1, 0);
-            spread(rows) & (columns * 0x1111)
+impl<'a, M: SceneMemory> Pixels<'a, M> {
+    pub(super) fn new(view: &'a TileView<'_, M>, tile: Tile, depth_epsilon: f32) -> Self {
+        let present: [Mask; BLOCKS] = core::array::from_fn(|block| {
+            let (x, y) = first_pixel(block);
+            lanes_in((0, tile.width as i32 - 1), (0, tile.height as i32 - 1), (x as i32, y as i32))
         });
-        let blocks = present.map(|present| if present == 0 { f32::INFINITY } else { 0.0 });
+        let waiting = present.map(|present| if present == 0 { f32::INFINITY } else { 0.0 });
         Self {
-            camera,
-            eye,
+            scene: view.scene,
+            camera: &view.frame.camera,
+            eye: view.eye,
             tile,
-            low: [[0.0; LANES]; LANES],
-            high: [[0.0; LANES]; LANES],
-            place: [[0; LANES]; LANES],
-            hit: [0; LANES],
+            blocks: [Block { low: [0.0; LANES], high: [0.0; LANES], place: [0; LANES] }; BLOCKS],
+            hit: [0; BLOCKS],
             present,
             winners: Winners::new(),
-            depths: Depths::new(blocks),
+            waiting,
+            least: 0.0,
             stale: 0,
             depth_epsilon,
+            lists: Lists::new(),
+            damaged: None,
         }
     }
 
-    /// The triangle that a pixel shows.
+    /// That all went well.
+    pub(super) fn check(&self) -> Result<(), Damaged> {
+        self.damaged.map_or(Ok(()), Err)
+    }
+
+    /// The corners of the triangles that the pixels of a block show, by corner and axis; zeros where there is none.
+    ///
+    /// # Errors
+    /// [`Damaged`], when a record read before can no longer be read.
     #[inline(always)]
-    pub(super) fn winner(&self, block: usize, lane: usize) -> &Winner {
-        self.winners.get(self.place[block][lane])
+    pub(super) fn corners<S: Simd>(&self, s: S, block: usize) -> Result<[[S::F; 3]; 3], Damaged> {
+        let places = &self.blocks[block].place;
+        let names = s.to_int(s.load(&places.map(|place| Corners::of(place).name() as f32)));
+        let mut corners = [[s.splat(0.0); 3]; 3];
+        let mut left = self.hit[block];
+        while left != 0 {
+            // All pixels that show this cluster, while its record is at hand.
+            let place = places[left.trailing_zeros() as usize];
+            let mut lanes = 0;
+            for (lane, other) in places.iter().enumerate() {
+                lanes |= Mask::from(other / Corners::COUNT == place / Corners::COUNT) << lane;
+            }
+            let (of, _) = self.winners.get(place);
+            let record = self.scene.cluster(of)?;
+            let cluster = Cluster::new(&record, of).ok_or(Damaged::Cluster { offset: of.offset })?;
+            let axes = each!(3: cluster.axes(), axis => [
+                s.load_le(&axis[..axis.len().min(LANES)]),
+                s.load_le(&axis[axis.len().min(LANES)..]),
+            ]);
+            let vertices = [names, s.shift_right::<5>(names), s.shift_right::<10>(names)];
+            for (corner, vertex) in corners.iter_mut().zip(vertices) {
+                for (lane, axis) in corner.iter_mut().zip(axes) {
+                    *lane = s.select(lanes & left, s.pick_of_two(axis, vertex), *lane);
+                }
+            }
+            left &= !lanes;
+        }
+        Ok(corners)
+    }
+
+    /// Takes up the next cluster.
+    #[inline(always)]
+    pub(super) fn begin(&mut self, cluster: &ClusterRef) {
+        let (blocks, hit) = (&mut self.blocks, &self.hit);
+        self.winners.begin(cluster, || {
+            blocks.iter_mut().zip(hit).flat_map(|(block, hit)| {
+                let places = block.place.iter_mut().enumerate();
+                places.filter(move |(lane, _)| hit >> lane & 1 != 0).map(|(_, place)| place)
+            })
+        });
+    }
+
+    #[inline(always)]
+    fn waiting_lanes<S: Simd>(&self, s: S) -> [S::F; 4] {
+        let (quarters, _) = self.waiting.as_chunks::<LANES>();
+        each!(4: [0, 1, 2, 3], quarter => s.load(&quarters[quarter]))
+    }
+
+    /// Whether nothing within these bounds can cover a pixel.
+    #[inline(always)]
+    pub(super) fn is_outside(&self, bounds: &Bounds) -> bool {
+        let end = [self.tile.width, self.tile.height].map(|length| length as f32 - 1.0);
+        bounds.right < 0.0 || bounds.bottom < 0.0 || bounds.left > end[0] || bounds.top > end[1]
     }
 
     /// The ray of a pixel.
     #[inline]
     fn ray(&self, block: usize, lane: usize) -> WoopRay {
-        let x = self.tile.x + (block % 4 * 4 + lane % 4) as u32;
-        let y = self.tile.y + (block / 4 * 4 + lane / 4) as u32;
+        let (x, y) = first_pixel(block);
+        let (x, y) = (self.tile.x + (x + lane % 4) as u32, self.tile.y + (y + lane / 4) as u32);
         WoopRay::new(self.eye, self.camera.direction(self.camera.row(y), x))
     }
 
-    /// Lets the pixel's ray decide whether it hits a triangle of a cluster, and which of two is nearer.
-    #[inline(always)]
-    fn decide(&mut self, (block, lane): (usize, usize), cluster: &Cluster<'_>, index: usize) {
-        let held = self.hit[block] >> lane & 1 != 0;
-        // Often it is another copy of the triangle that the pixel shows.
-        if !held || !cluster.is_triangle(index, &self.winner(block, lane).corners) {
-            self.decide_by_ray((block, lane), &Winner::of(cluster, index));
-        }
-    }
-
+    /// Lets the pixel's ray decide whether it hits a triangle of the cluster under test, and which of two is nearer.
     #[inline(never)]
-    fn decide_by_ray(&mut self, (block, lane): (usize, usize), winner: &Winner) {
+    pub(super) fn decide(&mut self, (block, lane): (usize, usize), cluster: &Cluster<'_>, named: Corners) {
+        let shown = match self.shown(block, lane) {
+            Ok(shown) => shown,
+            Err(damaged) => return self.damaged = Some(damaged),
+        };
+        // Often it is another copy of the triangle that the pixel shows.
+        let corners = named.points(cluster);
+        if shown.is_some_and(|shown| shown == corners) {
+            return;
+        }
         let ray = self.ray(block, lane);
-        let Some(crossing) = ray.intersect(winner.corners, f32::INFINITY) else { return };
-        if self.hit[block] >> lane & 1 != 0 {
-            let before = self.winner(block, lane);
+        let Some(crossing) = ray.intersect(corners, f32::INFINITY) else { return };
+        if let Some(shown) = shown {
             let mut nearest = Nearest::none(f32::INFINITY);
-            if let Some(crossing) = ray.intersect(before.corners, f32::INFINITY) {
-                nearest.offer(crossing, before.primitive, before.corners);
+            // Triangles with the same corners are the same to a pixel, so their numbers do not matter.
+            if let Some(crossing) = ray.intersect(shown, f32::INFINITY) {
+                nearest.offer(crossing, Primitive(0), shown);
             }
             if crossing.t > nearest.crossing.t {
                 return;
             }
-            nearest.offer(crossing, winner.primitive, winner.corners);
-            if nearest.surface.is_none_or(|(_, surface)| surface != Surface::Triangle(winner.corners)) {
+            nearest.offer(crossing, Primitive(0), corners);
+            if nearest.surface.is_none_or(|(_, surface)| surface != Surface::Triangle(corners)) {
                 return;
             }
         }
-        let place = self.place_of(winner);
         let inverse_depth = 1.0 / crossing.t;
         let margin = inverse_depth * self.depth_epsilon;
-        self.take((block, lane), place, inverse_depth - margin, inverse_depth + margin);
+        self.take((block, lane), named, inverse_depth - margin, inverse_depth + margin);
     }
 
+    /// The triangle that a pixel shows.
+    fn shown(&self, block: usize, lane: usize) -> Result<Option<[Vec3; 3]>, Damaged> {
+        if self.hit[block] >> lane & 1 == 0 {
+            return Ok(None);
+        }
+        let (place, corners) = self.winners.get(self.blocks[block].place[lane]);
+        let record = self.scene.cluster(place)?;
+        let cluster = Cluster::new(&record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
+        Ok(Some(corners.points(&cluster)))
+    }
+
+    /// Has a pixel show a triangle of the cluster under test.
     #[inline(always)]
-    fn take(&mut self, (block, lane): (usize, usize), place: u32, low: f32, high: f32) {
-        self.low[block][lane] = low;
-        self.high[block][lane] = high;
-        self.place[block][lane] = place;
+    pub(super) fn take(&mut self, (block, lane): (usize, usize), named: Corners, low: f32, high: f32) {
+        let place = self.winners.place(named);
+        let found = &mut self.blocks[block];
+        found.low[lane] = low;
+        found.high[lane] = high;
+        found.place[lane] = place;
         self.mark(block, 1 << lane);
     }
 
-    /// Notes that pixels of a block have a nearer hit.
+    /// Notes that pixels of a block, if any, show a triangle of the cluster under test.
     #[inline(always)]
-    fn mark(&mut self, block: usize, lanes: Mask) {
+    pub(super) fn mark(&mut self, block: usize, lanes: Mask) {
+        let has_won = lanes != 0;
+        self.winners.has_won |= has_won;
         self.hit[block] |= lanes;
-        if self.hit[block] == self.present[block] {
-            self.stale |= 1 << block;
-        }
-    }
-
-    fn place_of(&mut self, winner: &Winner) -> u32 {
-        if self.winners.is_full() {
-            let hit = self.hit;
-            let used = self.place.iter_mut().zip(hit).flat_map(|(places, hit)| {
-                places
-                    .iter_mut()
-                    .enumerate()
-                    .filter(move |(lane, _)| hit >> lane & 1 != 0)
-                    .map(|(_, place)| place)
-            });
-            self.winners.clear_out(used);
-        }
-        self.winners.add(*winner)
-    }
-
-    /// Tests triangles that reach over at most 2x2 pixels: one pixel of each at a time.
-    #[inline(always)]
-    fn test_small<S: Simd>(&mut self, s: S, batch: &mut Batch<'_, '_, S>, reach: &Reach<S>, small: Mask) {
-        let [left, right, top, bottom] =
-            each!(4: [reach.left, reach.right, reach.top, reach.bottom], end => s.to_float(end));
-        let (wide, high) = (s.lt(left, right) & small, s.lt(top, bottom) & small);
-        for (x, y, lanes) in
-            [(left, top, small), (right, top, wide), (left, bottom, high), (right, bottom, wide & high)]
-        {
-            if lanes == 0 {
-                continue;
-            }
-            let Some(covered) = cover(s, batch.triangles, (x, y), &batch.margins, lanes) else { continue };
-            let (low, high) = (s.array(covered.low), s.array(covered.high));
-            let pixel = s.int_array(s.to_int(s.add(s.mul(y, s.splat(16.0)), x)));
-            let mut candidates = covered.candidates;
-            while candidates != 0 {
-                let at = candidates.trailing_zeros() as usize;
-                candidates &= candidates - 1;
-                let pixel = pixel[at] as usize;
-                let (block, lane) = (pixel >> 4 & 12 | pixel >> 2 & 3, pixel >> 2 & 12 | pixel & 3);
-                if high[at] < self.low[block][lane] {
-                    continue;
-                }
-                if covered.sure >> at & 1 != 0 && low[at] > self.high[block][lane] {
-                    let place = self.place_in_batch(batch, at);
-                    self.take((block, lane), place, low[at], high[at]);
-                } else {
-                    self.decide((block, lane), batch.triangles.cluster, batch.triangles.first + at);
-                }
-            }
-        }
-    }
-
-    /// Tests triangles that reach over more, one at a time, against the blocks they reach over.
-    #[inline(always)]
-    fn test_large<S: Simd>(&mut self, s: S, batch: &mut Batch<'_, '_, S>, reach: &Reach<S>, mut large: Mask) {
-        let of = batch.triangles;
-        let corners =
-            each!(3: of.corners, corner => [s.array(corner.x), s.array(corner.y), s.array(corner.w)]);
-        let (edge, depth, near) =
-            (s.array(batch.margins.edge), s.array(batch.margins.depth), s.array(batch.near));
-        let [left, right, top, bottom] =
-            each!(4: [reach.left, reach.right, reach.top, reach.bottom], end => s.int_array(end));
-        while large != 0 {
-            let at = large.trailing_zeros() as usize;
-            large &= large - 1;
-            let corners = each!(3: corners, [x, y, w] => Projected {
-                x: s.splat(x[at]),
-                y: s.splat(y[at]),
-                w: s.splat(w[at]),
-            });
-            let one = Triangles { corners, ..*of };
-            let margins = Margins { edge: s.splat(edge[at]), depth: s.splat(depth[at]) };
-            for row in top[at] / 4..=bottom[at] / 4 {
-                for column in left[at] / 4..=right[at] / 4 {
-                    let block = (row * 4 + column) as usize & 15;
-                    let lanes = (in_range(left[at], right[at], column * 4) * 0x1111)
-                        & spread(in_range(top[at], bottom[at], row * 4))
-                        & self.present[block];
-                    if self.depths.blocks[block] <= near[at] {
-                        self.test_block(s, batch, (&one, at), &margins, (block, lanes));
-                    }
-                }
-            }
-        }
-    }
-
-    /// Tests one triangle of a batch, in all lanes, against pixels of a block.
-    #[inline(always)]
-    fn test_block<S: Simd>(
-        &mut self,
-        s: S,
-        batch: &mut Batch<'_, '_, S>,
-        (one, at): (&Triangles<'_, S>, usize),
-        margins: &Margins<S::F>,
-        (block, lanes): (usize, Mask),
-    ) {
-        let x = s.add(s.load(&COLUMNS), s.splat((block % 4 * 4) as f32));
-        let y = s.add(s.load(&ROWS), s.splat((block / 4 * 4) as f32));
-        let Some(covered) = cover(s, one, (x, y), margins, lanes) else { return };
-        let (low, high) = (s.load(&self.low[block]), s.load(&self.high[block]));
-        let candidates = covered.candidates & s.le(low, covered.high);
-        let wins = candidates & covered.sure & s.lt(high, covered.low);
-        if wins != 0 {
-            let place = self.place_in_batch(batch, at);
-            s.store(s.select(wins, covered.low, low), &mut self.low[block]);
-            s.store(s.select(wins, covered.high, high), &mut self.high[block]);
-            let places = bytemuck::cast_mut::<_, [f32; LANES]>(&mut self.place[block]);
-            s.store(s.select(wins, s.splat(f32::from_bits(place)), s.load(places)), places);
-            self.mark(block, wins);
-        }
-        let mut open = candidates & !wins;
-        while open != 0 {
-            self.decide((block, open.trailing_zeros() as usize), one.cluster, one.first + at);
-            open &= open - 1;
-        }
-    }
-
-    /// The place of a triangle of the batch among the winners.
-    #[inline(always)]
-    fn place_in_batch<S: Simd>(&mut self, batch: &mut Batch<'_, '_, S>, at: usize) -> u32 {
-        if let Some((place, moves)) = batch.places[at]
-            && moves == self.winners.moves
-        {
-            return place;
-        }
-        let place = self.place_of(&Winner::of(batch.triangles.cluster, batch.triangles.first + at));
-        batch.places[at] = Some((place, self.winners.moves));
-        place
+        let is_full = self.hit[block] == self.present[block];
+        self.stale |= u64::from(has_won & is_full) << block;
     }
 }
 
-impl<S: Simd> Targets<S> for Pixels<'_> {
+impl<S: Simd, M: SceneMemory> Targets<S> for Pixels<'_, M> {
     #[inline(always)]
-    fn depths(&mut self, s: S) -> &Depths {
+    fn least(&mut self, s: S) -> f32 {
         if self.stale != 0 {
             while self.stale != 0 {
                 let block = self.stale.trailing_zeros() as usize;
                 self.stale &= self.stale - 1;
                 let lanes = self.present[block];
-                let low = s.select(lanes, s.load(&self.low[block]), s.splat(f32::INFINITY));
-                self.depths.blocks[block] = s.least(low);
+                let low = s.select(lanes, s.load(&self.blocks[block].low), s.splat(f32::INFINITY));
+                self.waiting[block] = s.least(low);
             }
-            self.depths.refresh();
+            let [a, b, c, d] = self.waiting_lanes(s);
+            self.least = s.least(s.min(s.min(a, b), s.min(c, d)));
         }
-        &self.depths
-    }
-
-    /// The blocks that the cluster reaches over and may be nearest in.
-    #[inline(always)]
-    fn interest(&mut self, s: S, bounds: &Bounds) -> u64 {
-        let end = [self.tile.width, self.tile.height].map(|length| length as f32 - 1.0);
-        if bounds.right < 0.0 || bounds.bottom < 0.0 || bounds.left > end[0] || bounds.top > end[1] {
-            return 0;
-        }
-        let line = |place: f32| place.clamp(0.0, 15.0) as i32 / 4;
-        let columns = in_range(line(bounds.left), line(bounds.right), 0);
-        let rows = in_range(line(bounds.top), line(bounds.bottom), 0);
-        let waiting = s.le(s.load(&self.depths(s).blocks), s.splat(bounds.near));
-        u64::from(spread(rows) & (columns * 0x1111) & waiting)
+        self.least
     }
 
     /// Whether there is a pixel within the bounds that shows nothing nearer.
     #[inline(always)]
     fn wants(&mut self, s: S, bounds: &Bounds) -> bool {
-        // Nearly the next whole number: a pixel too many does not matter, one too few would.
-        let first = |place: f32| (place.max(0.0) + 0.999_99).min(16.0) as i32;
-        let last = |place: f32, length: u32| (place.min(length as f32 - 1.0) + 1.0).max(0.0) as i32 - 1;
-        let (left, right) = (first(bounds.left), last(bounds.right, self.tile.width));
-        let (top, bottom) = (first(bounds.top), last(bounds.bottom, self.tile.height));
-        for row in top / 4..=bottom >> 2 {
-            for column in left / 4..=right >> 2 {
-                let block = (row * 4 + column) as usize % LANES;
-                let lanes =
-                    (in_range(left, right, column * 4) * 0x1111) & spread(in_range(top, bottom, row * 4));
-                let waiting = s.le(s.load(&self.low[block]), s.splat(bounds.near)) & self.present[block];
-                if lanes & waiting != 0 {
-                    return true;
-                }
+        let near = s.splat(bounds.near);
+        let mut waiting = 0;
+        for (quarter, blocks) in self.waiting_lanes(s).into_iter().enumerate() {
+            waiting |= u64::from(s.le(blocks, near)) << (quarter * LANES);
+        }
+        let [left, right] = each!(2: [bounds.left, bounds.right], end => s.splat(end));
+        let [top, bottom] = each!(2: [bounds.top, bounds.bottom], end => s.splat(end));
+        waiting &= blocks_within(s, [left, right], [top, bottom]);
+        while waiting != 0 {
+            let block = waiting.trailing_zeros() as usize;
+            waiting &= waiting - 1;
+            let (x, y) = first_pixel(block);
+            let (x, y) =
+                (s.add(s.load(&COLUMNS), s.splat(x as f32)), s.add(s.load(&ROWS), s.splat(y as f32)));
+            let within = s.le(left, x) & s.le(x, right) & s.le(top, y) & s.le(y, bottom);
+            if within & self.present[block] & s.le(s.load(&self.blocks[block].low), near) != 0 {
+                return true;
             }
         }
         false
@@ -337,76 +260,62 @@ impl<S: Simd> Targets<S> for Pixels<'_> {
 
     #[inline(always)]
     fn test(&mut self, s: S, triangles: &Triangles<'_, S>) {
-        let extent = Extent::of(s, &triangles.corners);
-        let delta = s.splat(triangles.delta);
-        let near = s.mul(extent.near, s.splat(1.0 + triangles.depth_epsilon));
-        let (width, height) = (self.tile.width as f32 - 1.0, self.tile.height as f32 - 1.0);
-        let zero = s.splat(0.0);
-        let (left, right) =
-            (s.max(s.sub(extent.left, delta), zero), s.min(s.add(extent.right, delta), s.splat(width)));
-        let (top, bottom) =
-            (s.max(s.sub(extent.top, delta), zero), s.min(s.add(extent.bottom, delta), s.splat(height)));
-        // Nearly the next whole number: a pixel too many does not matter, one too few would.
-        let up = s.splat(0.999_99);
-        let reach = Reach {
-            left: s.to_int(s.add(left, up)),
-            right: s.to_int(right),
-            top: s.to_int(s.add(top, up)),
-            bottom: s.to_int(bottom),
-        };
-        let wide = s.to_float(s.sub_int(reach.right, reach.left));
-        let high = s.to_float(s.sub_int(reach.bottom, reach.top));
-        let lanes = s.le(left, right)
-            & s.le(top, bottom)
-            & s.le(s.splat(self.depths.least), near)
-            & s.le(zero, wide)
-            & s.le(zero, high)
-            & triangles.lanes;
-        if lanes == 0 {
-            return;
-        }
-        let one = s.splat(1.0);
-        let small = lanes & s.le(wide, one) & s.le(high, one);
-        let margins = extent.margins(s, triangles);
-        let mut batch = Batch { triangles, margins, near, places: [None; LANES] };
-        if small != 0 {
-            self.test_small(s, &mut batch, &reach, small);
-        }
-        if lanes & !small != 0 {
-            self.test_large(s, &mut batch, &reach, lanes & !small);
-        }
+        self.test_triangles(s, triangles);
     }
 
-    fn test_by_rays(&mut self, _: S, cluster: &Cluster<'_>) {
-        for block in 0..LANES {
+    fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>) {
+        self.begin(cluster.place());
+        for block in 0..BLOCKS {
             for lane in 0..LANES {
                 if self.present[block] >> lane & 1 == 0 {
                     continue;
                 }
                 let mut nearest = Nearest::none(f32::INFINITY);
-                cluster.intersect::<false>(&self.ray(block, lane), &mut nearest, &mut ());
-                if let Some((primitive, Surface::Triangle(corners))) = nearest.surface {
-                    self.decide_by_ray((block, lane), &Winner { corners, primitive });
+                cluster.intersect::<S, false>(s, &self.ray(block, lane), &mut nearest);
+                if let Some((primitive, _)) = nearest.surface {
+                    let index = primitive.0.wrapping_sub(cluster.place().first);
+                    self.decide((block, lane), cluster, Corners::of_triangle(cluster, index as usize));
                 }
             }
         }
     }
 }
 
-/// Four bits: which of the pixels `at..at + 4` lie in a range.
+/// The blocks that reach into a range of columns and a range of rows.
 #[inline(always)]
-const fn in_range(first: i32, last: i32, at: i32) -> Mask {
+fn blocks_within<S: Simd>(s: S, [left, right]: [S::F; 2], [top, bottom]: [S::F; 2]) -> u64 {
+    // Eight columns, then eight rows.
+    let (low, high) = (s.select(0xff, left, top), s.select(0xff, right, bottom));
+    let first = s.load(&FIRST_OF_BLOCKS);
+    let lines = s.le(low, s.add(first, s.splat(3.0))) & s.le(first, high);
+    // A row of blocks is a byte: bit `n` of the rows to byte `n`, and that filled if it is not 0.
+    let rows = (u64::from(lines >> 8) * 0x0101_0101_0101_0101) & 0x8040_2010_0804_0201;
+    let rows = ((rows + 0x7f7f_7f7f_7f7f_7f7f) >> 7 & 0x0101_0101_0101_0101) * 0xff;
+    (u64::from(lines & 0xff) * 0x0101_0101_0101_0101) & rows
+}
+
+const FIRST_OF_BLOCKS: [f32; LANES] =
+    [0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0, 0.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0];
+
+/// Columns and rows of the pixels of a block.
+pub(super) const COLUMNS: [f32; LANES] =
+    [0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0];
+pub(super) const ROWS: [f32; LANES] =
+    [0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0];
+
+/// The pixels of a block that lie in a range of columns and a range of rows.
+#[inline(always)]
+pub(super) const fn lanes_in(columns: (i32, i32), rows: (i32, i32), (x, y): (i32, i32)) -> Mask {
+    let (columns, rows) = (in_range(columns, x), in_range(rows, y));
+    // Each bit of the rows four times, and the columns four times over.
+    let rows = ((rows & 1) | (rows & 2) << 3 | (rows & 4) << 6 | (rows & 8) << 9) * 0xf;
+    rows & (columns * 0x1111)
+}
+
+/// Four bits: which of `at..at + 4` lie in a range.
+#[inline(always)]
+const fn in_range((first, last): (i32, i32), at: i32) -> Mask {
     let from = if first > at { first - at } else { 0 };
     let until = if last < at + 3 { last - at } else { 3 };
     if from > 3 || until < 0 { 0 } else { (0xf << from & 0xf >> (3 - until)) as Mask }
 }
-
-/// Each of four bits four times.
-#[inline(always)]
-const fn spread(bits: Mask) -> Mask {
-    ((bits & 1) | (bits & 2) << 3 | (bits & 4) << 6 | (bits & 8) << 9) * 0xf
-}
-
-const COLUMNS: [f32; LANES] =
-    [0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0];
-const ROWS: [f32; LANES] = [0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0];

@@ -3,30 +3,35 @@
 use glam::Vec3;
 
 use super::projection::{Projected, Projection};
+use crate::blocks::BLOCKS;
 use crate::simd::{LANES, Mask, Simd, each, first_lanes};
 
 /// Most points of a tile.
-pub(super) const POINTS_MAX: usize = 256;
+pub(super) const POINTS_MAX: usize = BLOCKS * LANES;
 
-/// Points that light may fall on.
+/// Points that light may fall on. There is room for sixteen more than there can be, since whole registers are stored.
 pub(super) struct Points {
-    x: [f32; POINTS_MAX],
-    y: [f32; POINTS_MAX],
-    z: [f32; POINTS_MAX],
+    x: [f32; POINTS_MAX + LANES],
+    y: [f32; POINTS_MAX + LANES],
+    z: [f32; POINTS_MAX + LANES],
     pub(super) count: usize,
 }
 
 impl Points {
     pub(super) const fn new() -> Self {
-        Self { x: [0.0; POINTS_MAX], y: [0.0; POINTS_MAX], z: [0.0; POINTS_MAX], count: 0 }
+        const NONE: [f32; POINTS_MAX + LANES] = [0.0; POINTS_MAX + LANES];
+        Self { x: NONE, y: NONE, z: NONE, count: 0 }
     }
 
+    /// Adds the points of the lanes of a mask.
     #[inline(always)]
-    pub(super) fn push(&mut self, [x, y, z]: [f32; 3]) {
-        self.x[self.count] = x;
-        self.y[self.count] = y;
-        self.z[self.count] = z;
-        self.count += 1;
+    pub(super) fn push<S: Simd>(&mut self, s: S, lanes: Mask, point: [S::F; 3]) {
+        for (to, value) in [&mut self.x, &mut self.y, &mut self.z].into_iter().zip(point) {
+            if let Some(to) = to.get_mut(self.count..).and_then(<[f32]>::first_chunk_mut) {
+                s.store_packed(lanes, value, to);
+            }
+        }
+        self.count += lanes.count_ones() as usize;
     }
 
     pub(super) const fn get(&self, index: usize) -> Vec3 {
@@ -52,7 +57,7 @@ impl Points {
         let aside = if depth.x.abs() < 0.6 { Vec3::X } else { Vec3::Y };
         let x = unit(depth.cross(aside))?;
         let y = depth.cross(x);
-        let plain = Projection::new(light, [x, y, depth], 0.5, 1.0)?;
+        let plain = Projection::new(light, [x, y, depth], [0.0; 2], 0.5, 1.0)?;
         let infinite = s.splat(f32::INFINITY);
         let (mut low, mut high) = ([infinite; 2], [infinite; 2]);
         for first in (0..self.count).step_by(LANES) {
@@ -71,15 +76,15 @@ impl Points {
             return None;
         }
         // At least so large that places on the plane can be told apart.
-        let unit = [0, 1].map(|axis: usize| ((high[axis] - low[axis]) * (1.0 / 7.875)).max(UNIT_MIN));
+        let unit = [0, 1].map(|axis: usize| ((high[axis] - low[axis]) / (LINES - 0.25)).max(UNIT_MIN));
         let rows = [(x - depth * low[0]) / unit[0], (y - depth * low[1]) / unit[1], depth];
-        Projection::new(light, rows, unit[0].max(unit[1]), 1.0 + slant)
+        Projection::new(light, rows, [LINES; 2], unit[0].max(unit[1]), 1.0 + slant)
     }
 }
 
 /// Sixteen entries from `first` on.
 #[inline(always)]
-fn chunk<const N: usize>(from: &[f32; N], first: usize) -> &[f32; LANES] {
+pub(super) fn chunk<const N: usize>(from: &[f32; N], first: usize) -> &[f32; LANES] {
     // Where fewer are left, the last sixteen; no caller gets there.
     let first = first.min(N - LANES);
     from[first..].first_chunk().unwrap_or(&[0.0; LANES])
@@ -90,5 +95,8 @@ fn unit(v: Vec3) -> Option<Vec3> {
     (length.is_finite() && length > 1.0e-18).then(|| v / length)
 }
 
+/// Edge of the plane that the points fill.
+pub(super) const LINES: f32 = 16.0;
+
 /// Smallest unit, as an angle.
-const UNIT_MIN: f32 = 1.0 / 2048.0;
+const UNIT_MIN: f32 = 1.0 / 4096.0;

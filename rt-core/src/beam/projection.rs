@@ -2,10 +2,8 @@
 
 use glam::{DVec3, Vec3};
 
-use super::frustum::Seen;
-use super::walk::Bounds;
 use crate::camera::Camera;
-use crate::simd::{LANES, Mask, Simd, each};
+use crate::simd::{Simd, each};
 use crate::tile::Tile;
 
 /// Projects points of the grid onto a plane, in *units*: pixels of a tile, or bins of its shadow samples.
@@ -33,6 +31,8 @@ use crate::tile::Tile;
 pub(super) struct Projection {
     pub(super) eye: Vec3,
     pub(super) rows: [Vec3; 3],
+    /// What is looked at lies between 0 and this.
+    pub(super) end: [f32; 2],
     /// Uncertainty of coordinates within ±[`NEAR`].
     pub(super) delta: f32,
     /// Uncertainty of coordinates within ±`wide`.
@@ -78,12 +78,13 @@ impl Projection {
             slant.max(direction.as_dvec3().length() as f32)
         });
         let unit = camera.x_step.abs().max(camera.y_step.abs());
-        Self::new(eye, [x, y, depth].map(DVec3::as_vec3), unit, slant)
+        let end = [tile.width, tile.height].map(|length| length as f32 - 1.0);
+        Self::new(eye, [x, y, depth].map(DVec3::as_vec3), end, unit, slant)
     }
 
-    /// A projection by these rows. `unit` is the length of the longer unit at depth 1, `slant` the greatest
+    /// A projection by these rows of what lies between 0 and `end`. `unit` is the length of the longer unit at depth 1, `slant` the greatest
     /// length of a vector to what is looked at, over its depth. `None` when numbers are out of range.
-    pub(super) fn new(eye: Vec3, rows: [Vec3; 3], unit: f32, slant: f32) -> Option<Self> {
+    pub(super) fn new(eye: Vec3, rows: [Vec3; 3], end: [f32; 2], unit: f32, slant: f32) -> Option<Self> {
         let long = rows[0].as_dvec3().length().max(rows[1].as_dvec3().length()) as f32;
         // Comparisons are written so that a NaN anywhere fails them.
         let usable = unit > 1.0e-6 && unit < 1.0 && slant > 0.0 && slant < SLANT_MAX && long < LONG_MAX;
@@ -97,60 +98,19 @@ impl Projection {
             EPSILON * slant * (28.0 * long + 16.0 * reach)
         };
         let depth_epsilon = EPSILON * (18.0 * (slant + NEAR * unit * 1.5) + 14.0);
-        Some(Self { eye, rows, delta: delta(NEAR), delta_wide: delta(wide), wide, depth_epsilon })
-    }
-
-    /// The bounds of a box; `None` when it reaches behind the eye or too far out.
-    #[inline(always)]
-    pub(super) fn bounds<S: Simd>(&self, s: S, seen: &Seen) -> Option<Bounds> {
-        let signs = [CORNERS[0], CORNERS[1], CORNERS[2]];
-        let v = each!(3: [0, 1, 2], axis => {
-            s.add(s.splat(seen.centre[axis]), s.mul(s.load(&signs[axis]), s.splat(seen.half[axis])))
-        });
-        let Projected { x, y, w } = self.project_from_eye(s, v);
-        let out = s.max(s.abs(x), s.abs(y));
-        if s.lt(s.splat(0.0), w) & s.le(out, s.splat(self.wide)) != Mask::MAX {
-            return None;
-        }
-        let zero = s.splat(0.0);
-        let [right, bottom, near] = each!(3: [x, y, w], value => -s.least(s.sub(zero, value)));
-        let margin = self.delta_wide;
-        Some(Bounds {
-            left: s.least(x) - margin,
-            right: right + margin,
-            top: s.least(y) - margin,
-            bottom: bottom + margin,
-            near: near * (1.0 + 4.0 * self.depth_epsilon),
-        })
+        Some(Self { eye, rows, end, delta: delta(NEAR), delta_wide: delta(wide), wide, depth_epsilon })
     }
 
     /// Projects sixteen points.
     #[inline(always)]
     pub(super) fn project<S: Simd>(&self, s: S, point: [S::F; 3]) -> Projected<S::F> {
         let eye = s.splat3(self.eye);
-        self.project_from_eye(s, [s.sub(point[0], eye[0]), s.sub(point[1], eye[1]), s.sub(point[2], eye[2])])
-    }
-
-    #[inline(always)]
-    fn project_from_eye<S: Simd>(&self, s: S, v: [S::F; 3]) -> Projected<S::F> {
+        let v = [s.sub(point[0], eye[0]), s.sub(point[1], eye[1]), s.sub(point[2], eye[2])];
         let [x, y, z] = each!(3: self.rows, row => s.dot(v, s.splat3(row)));
         let w = s.div(s.splat(1.0), z);
         Projected { x: s.mul(x, w), y: s.mul(y, w), w }
     }
 }
-
-/// The corners of a cube around 0, twice, by axis.
-const CORNERS: [[f32; LANES]; 3] = {
-    let mut corners = [[1.0; LANES]; 3];
-    let mut at = 0;
-    while at < 3 * LANES {
-        if (at / 3) >> (at % 3) & 1 != 0 {
-            corners[at % 3][at / 3] = -1.0;
-        }
-        at += 1;
-    }
-    corners
-};
 
 /// Coordinates within this are as exact as they get.
 pub(super) const NEAR: f32 = 64.0;

@@ -6,10 +6,13 @@
 use glam::Vec3;
 
 use super::pixels::Pixels;
+use crate::blocks::first_pixel;
 use crate::camera::Camera;
+use crate::memory::SceneMemory;
 use crate::shade::{ALBEDO, AMBIENT, DIFFUSE};
 use crate::simd::{LANES, Mask, Simd, each};
 use crate::tile::Tile;
+use crate::view::Damaged;
 
 /// Sixteen pixels of one block.
 pub(super) struct Surface<F> {
@@ -39,43 +42,33 @@ struct Axes([usize; 3]);
 type Corners<F> = [[F; 3]; 3];
 
 /// Finds what the pixels of a block that hit something see.
+///
+/// # Errors
+/// [`Damaged`], as [`Pixels::corners`].
 #[inline(always)]
-pub(super) fn surface<S: Simd>(
+pub(super) fn surface<S: Simd, M: SceneMemory>(
     s: S,
-    pixels: &Pixels<'_>,
+    pixels: &Pixels<'_, M>,
     block: usize,
     camera: &Camera,
     tile: Tile,
     lighting: &Lighting,
-) -> Surface<S::F> {
-    let corners = corners(s, pixels, block);
+) -> Result<Surface<S::F>, Damaged> {
+    let corners = pixels.corners(s, block)?;
     let direction = directions(s, camera, tile, block);
     let t = depth(s, lighting.eye, direction, &corners, pixels.hit[block]);
     let normal = normal(s, &corners, direction);
-    shade(s, t, normal, direction, lighting)
-}
-
-#[inline(always)]
-fn corners<S: Simd>(s: S, pixels: &Pixels<'_>, block: usize) -> Corners<S::F> {
-    let mut corners = [[[0.0; LANES]; 3]; 3];
-    for lane in 0..LANES {
-        let winner = pixels.winner(block, lane);
-        for (corner, lanes) in winner.corners.iter().zip(&mut corners) {
-            lanes[0][lane] = corner.x;
-            lanes[1][lane] = corner.y;
-            lanes[2][lane] = corner.z;
-        }
-    }
-    each!(3: corners, corner => [s.load(&corner[0]), s.load(&corner[1]), s.load(&corner[2])])
+    Ok(shade(s, t, normal, direction, lighting))
 }
 
 /// [`Camera::direction`] of sixteen pixels.
 #[inline(always)]
 fn directions<S: Simd>(s: S, camera: &Camera, tile: Tile, block: usize) -> [S::F; 3] {
     let (mut column, mut row) = ([0.0; LANES], [0.0; LANES]);
+    let (x, y) = first_pixel(block);
     for lane in 0..LANES {
-        column[lane] = (tile.x as usize + block % 4 * 4 + lane % 4) as f32;
-        row[lane] = (tile.y as usize + block / 4 * 4 + lane / 4) as f32;
+        column[lane] = (tile.x as usize + x + lane % 4) as f32;
+        row[lane] = (tile.y as usize + y + lane / 4) as f32;
     }
     let x = s.add(s.splat(camera.x_first), s.mul(s.load(&column), s.splat(camera.x_step)));
     let y = s.add(s.splat(camera.y_first), s.mul(s.load(&row), s.splat(camera.y_step)));

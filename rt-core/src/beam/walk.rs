@@ -2,66 +2,31 @@
 
 use glam::Vec3;
 
-use super::frustum::{Depths, Frustum, Seen};
-use super::projection::{NEAR, Projected, Projection};
+use super::frustum::Frustum;
+use super::projection::Projection;
+use super::queue::{Queue, Waiting};
+use super::triangles::{Bounds, Triangles};
 use crate::cluster::Cluster;
 use crate::count::Count;
 use crate::grid::{BoxFrame, Branch, ClusterRef, LEVELS_MAX, LeafContent, cell_coordinates, flip_cells};
 use crate::memory::SceneMemory;
-use crate::simd::{LANES, Mask, Part, Simd, each, first_lanes};
+use crate::simd::{LANES, Part, Simd, each, first_lanes};
 use crate::view::{Damaged, SceneView};
 use crate::walk::Budget;
 
 /// What a beam looks for: the nearest triangle of every pixel, or any between samples and the light.
 pub(super) trait Targets<S: Simd> {
-    /// What still matters.
-    fn depths(&mut self, s: S) -> &Depths;
+    /// What has a smaller inverse depth than this does not matter; infinite when nothing matters any more.
+    fn least(&mut self, s: S) -> f32;
 
-    /// Which parts of the targets triangles within these bounds may matter to; 0 when none.
-    fn interest(&mut self, s: S, bounds: &Bounds) -> u64;
-
-    /// Whether anything within these bounds may matter, looked at closely.
+    /// Whether anything within these bounds may matter.
     fn wants(&mut self, s: S, bounds: &Bounds) -> bool;
 
-    /// Tests sixteen triangles.
+    /// Tests the triangles of a cluster.
     fn test(&mut self, s: S, triangles: &Triangles<'_, S>);
 
     /// Tests a cluster that cannot be projected.
     fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>);
-}
-
-/// Up to sixteen triangles of a cluster, projected.
-pub(super) struct Triangles<'a, S: Simd> {
-    pub(super) corners: [Projected<S::F>; 3],
-    /// Lanes that hold a triangle.
-    pub(super) lanes: Mask,
-    /// Uncertainty of the corners' coordinates.
-    pub(super) delta: f32,
-    /// Relative uncertainty of their inverse depths.
-    pub(super) depth_epsilon: f32,
-    /// What [`Targets::interest`] said of the cluster.
-    pub(super) interest: u64,
-    pub(super) cluster: &'a Cluster<'a>,
-    /// Place of the first triangle in the cluster.
-    pub(super) first: usize,
-}
-
-impl<S: Simd> Triangles<'_, S> {
-    /// The corners of the triangle in a lane, in grid units.
-    #[inline(always)]
-    pub(super) fn corners_of(&self, lane: usize) -> [Vec3; 3] {
-        self.cluster.triangle(self.first + lane)
-    }
-}
-
-/// The box of a cluster on the projection plane, with some margin, and its greatest inverse depth.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Bounds {
-    pub(super) left: f32,
-    pub(super) right: f32,
-    pub(super) top: f32,
-    pub(super) bottom: f32,
-    pub(super) near: f32,
 }
 
 /// A beam: where it looks from and what it may enter.
@@ -83,37 +48,43 @@ pub(super) fn walk<S: Simd, M: SceneMemory, C: Count, T: Targets<S>>(
     count: &mut C,
 ) -> Result<(), Damaged> {
     let budget = Budget::of(scene.header());
-    let mut walk = Walk { s, scene, beam, targets, count, budget, queue: Queue::new() };
+    let frame = BoxFrame::new(scene.header().grid.size * 0.25, scene.header().grid.slack);
+    let leaves = Leaves {
+        clusters: [ClusterRef::NONE; LANES],
+        boxes: [[0; LANES]; 6],
+        count: 0,
+        corner: Vec3::ZERO,
+        frame,
+    };
+    let mut walk = Walk { s, scene, beam, targets, count, budget, leaves, queue: Queue::new(s) };
     walk.run()?;
-    while let Some(next) = walk.queue.take() {
-        walk.visit_waiting(&next)?;
+    while let Some(next) = walk.queue.take_nearest(s) {
+        walk.visit(&next)?;
     }
     Ok(())
 }
 
 /// A walk under way.
-struct Walk<'a, S, M, C, T> {
+struct Walk<'a, S: Simd, M, C, T> {
     s: S,
     scene: &'a SceneView<M>,
     beam: &'a Beam<'a>,
     targets: &'a mut T,
     count: &'a mut C,
     budget: Budget,
-    queue: Queue,
+    leaves: Leaves,
+    queue: Queue<S::F>,
 }
 
-/// Clusters whose box is seen, first in first out. While they wait, their bytes come nearer.
-struct Queue {
-    waiting: [Waiting; Self::LENGTH],
-    first: usize,
+/// The clusters of up to sixteen leaves of one branch.
+struct Leaves {
+    clusters: [ClusterRef; LANES],
+    /// The coordinates of their boxes.
+    boxes: [[u8; LANES]; 6],
     count: usize,
-}
-
-/// A cluster whose box is seen.
-#[derive(Clone, Copy)]
-struct Waiting {
-    place: ClusterRef,
-    seen: Seen,
+    /// The branch's lowest corner, and the coordinates of the leaves' boxes.
+    corner: Vec3,
+    frame: BoxFrame,
 }
 
 /// A branch that the beam is in.
@@ -122,7 +93,7 @@ struct Visit {
     branch: Branch,
     corner: Vec3,
     cell: f32,
-    /// Cells still to visit, flipped so that the lowest bit is about the nearest.
+    /// Inner cells still to visit, flipped so that the lowest bit is about the nearest.
     left: u64,
 }
 
@@ -131,8 +102,7 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
     fn run(&mut self) -> Result<(), Damaged> {
         let grid = self.scene.header().grid;
         let flip = self.beam.frustum.flip;
-        let mut farthest = self.targets.depths(self.s).farthest;
-        let mut visit = self.enter(0, grid.origin, grid.size * 0.25, farthest)?;
+        let mut visit = self.enter(0, grid.origin, grid.size * 0.25)?;
         let mut above = [visit; LEVELS_MAX];
         let mut depth = 0;
         loop {
@@ -147,57 +117,69 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
             let cell = visit.left.trailing_zeros() ^ flip;
             visit.left &= visit.left - 1;
             let corner = visit.corner + Vec3::from(cell_coordinates(cell).map(|i| i as f32)) * visit.cell;
-            if self.beam.frustum.is_hidden(corner, visit.cell, farthest) {
+            if !self.may_enter(corner, visit.cell) {
                 continue;
             }
-            if visit.branch.inner >> cell & 1 != 0 {
-                let child = visit.branch.child_of(cell).ok_or(Damaged::Branch(u32::MAX))?;
-                above[depth] = visit;
-                depth += 1;
-                if depth >= grid.levels as usize {
-                    return Err(Damaged::Depth);
-                }
-                visit = self.enter(child, corner, visit.cell * 0.25, farthest)?;
-            } else {
-                visit.left &= !flip_cells(visit.branch.run_of(cell), flip);
-                self.visit_run(&visit, cell)?;
-                farthest = self.targets.depths(self.s).farthest;
-                if farthest < 0.0 {
-                    return Ok(());
-                }
+            let child = visit.branch.child_of(cell).ok_or(Damaged::Branch(u32::MAX))?;
+            above[depth] = visit;
+            depth += 1;
+            if depth >= grid.levels as usize {
+                return Err(Damaged::Depth);
             }
+            visit = self.enter(child, corner, visit.cell * 0.25)?;
         }
     }
 
-    /// Reads a branch and culls its cells.
+    /// Whether anything in a cell may matter.
     #[inline(always)]
-    fn enter(&mut self, index: u32, corner: Vec3, cell: f32, farthest: f32) -> Result<Visit, Damaged> {
+    fn may_enter(&mut self, corner: Vec3, cell: f32) -> bool {
+        let half = cell * 0.5;
+        let centre = self.s.splat3(corner + half - self.beam.projection.eye);
+        let half = [self.s.splat(half + self.beam.frustum.cell_pad); 3];
+        let boxes = self.beam.projection.boxes(self.s, centre, half);
+        let least = self.targets.least(self.s);
+        self.beam.projection.shows(self.s, &boxes, least) != 0
+            && self.targets.wants(self.s, &boxes.by_lane(self.s).of(0))
+    }
+
+    /// Reads a branch, culls its cells, and has the clusters of its leaves wait.
+    #[inline(always)]
+    fn enter(&mut self, index: u32, corner: Vec3, cell: f32) -> Result<Visit, Damaged> {
         Budget::spend(&mut self.budget.branches)?;
         let branch = self.scene.branch(index)?;
         self.count.branch();
-        let entered = self.beam.frustum.cells_entered(self.s, &branch, corner, cell, farthest);
-        Ok(Visit { branch, corner, cell, left: flip_cells(entered, self.beam.frustum.flip) })
+        let frustum = self.beam.frustum;
+        let farthest = farthest(self.targets.least(self.s));
+        let entered = frustum.cells_entered(self.s, &branch, corner, cell, farthest);
+        self.leaves.corner = corner;
+        self.leaves.frame = BoxFrame::new(cell, self.scene.header().grid.slack);
+        let mut runs = entered & !branch.inner;
+        while runs != 0 {
+            let cell = runs.trailing_zeros();
+            runs &= !branch.cells_of_run(cell) & (runs - 1);
+            self.gather(branch.leaf_of(cell).ok_or(Damaged::Leaf(u32::MAX))?)?;
+        }
+        self.sift()?;
+        Ok(Visit { branch, corner, cell, left: flip_cells(entered & branch.inner, frustum.flip) })
     }
 
-    /// Tests what the run of `cell` holds.
+    /// Reads a leaf, or those of its list.
     #[inline(always)]
-    fn visit_run(&mut self, visit: &Visit, cell: u32) -> Result<(), Damaged> {
-        let leaf = visit.branch.leaf_of(cell).ok_or(Damaged::Leaf(u32::MAX))?;
+    fn gather(&mut self, leaf: u32) -> Result<(), Damaged> {
         let (mut next, mut end, mut in_list) = (leaf, leaf.checked_add(1).ok_or(Damaged::Leaf(leaf))?, false);
-        let frame = BoxFrame::new(visit.cell, self.scene.header().grid.slack);
         while next < end {
             let index = next;
             next += 1;
             Budget::spend(&mut self.budget.leaves)?;
             let leaf = self.scene.leaf(index)?;
             self.count.leaf();
-            let depths = self.targets.depths(self.s);
-            let seen = self.beam.frustum.box_entered(self.s, visit.corner, &frame, leaf.bounds);
-            if seen.blocks & depths.waiting(self.s, seen.nearest) == 0 {
-                continue;
-            }
             match leaf.content().ok_or(Damaged::Leaf(index))? {
-                LeafContent::Cluster(place) => self.enqueue(Waiting { place, seen })?,
+                LeafContent::Cluster(place) => {
+                    if self.leaves.count == LANES {
+                        self.sift()?;
+                    }
+                    self.leaves.push(place, leaf.bounds);
+                }
                 LeafContent::Spheres(_) => return Err(Damaged::Leaf(index)),
                 LeafContent::List { .. } if in_list => return Err(Damaged::Leaf(index)),
                 LeafContent::List { first, count } => {
@@ -209,172 +191,105 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
         Ok(())
     }
 
-    /// Has a cluster wait, and visits the one that has waited longest if there is no room.
+    /// Has the clusters wait of those leaves whose box shows.
     #[inline(always)]
-    fn enqueue(&mut self, next: Waiting) -> Result<(), Damaged> {
-        self.scene.prefetch_cluster(&next.place);
-        match self.queue.push(next) {
-            Some(first) => self.visit_waiting(&first),
-            None => Ok(()),
-        }
-    }
-
-    #[inline(always)]
-    fn visit_waiting(&mut self, Waiting { place, seen }: &Waiting) -> Result<(), Damaged> {
-        let depths = self.targets.depths(self.s);
-        if seen.blocks & depths.waiting(self.s, seen.nearest) == 0 {
+    fn sift(&mut self) -> Result<(), Damaged> {
+        let lanes = first_lanes(core::mem::take(&mut self.leaves.count));
+        if lanes == 0 {
             return Ok(());
         }
-        // The last look before its page is touched: whether the box reaches over any pixel to which it matters.
-        match self.beam.projection.bounds(self.s, seen) {
-            Some(bounds) if !self.targets.wants(self.s, &bounds) => Ok(()),
-            _ => self.visit_cluster(place),
+        let (centre, half) = self.leaves.boxes(self.s, self.beam);
+        let boxes = self.beam.projection.boxes(self.s, centre, half);
+        let least = self.targets.least(self.s);
+        let mut left = self.beam.projection.shows(self.s, &boxes, least) & lanes;
+        let bounds = boxes.by_lane(self.s);
+        while left != 0 {
+            let lane = left.trailing_zeros() as usize;
+            left &= left - 1;
+            self.enqueue(Waiting { place: self.leaves.clusters[lane], bounds: bounds.of(lane) })?;
         }
+        Ok(())
     }
 
+    /// Has a cluster wait, and visits the nearest if there is no room.
     #[inline(always)]
-    fn visit_cluster(&mut self, place: &ClusterRef) -> Result<(), Damaged> {
+    fn enqueue(&mut self, next: Waiting) -> Result<(), Damaged> {
+        if self.queue.is_full()
+            && let Some(nearest) = self.queue.take_nearest(self.s)
+        {
+            self.visit(&nearest)?;
+        }
+        self.scene.prefetch_cluster(&next.place);
+        self.queue.push(self.s, next);
+        Ok(())
+    }
+
+    /// Tests a cluster, unless by now it does not matter. Only here its page is touched.
+    #[inline(always)]
+    fn visit(&mut self, Waiting { place, bounds }: &Waiting) -> Result<(), Damaged> {
+        if !self.targets.wants(self.s, bounds) {
+            return Ok(());
+        }
         let record = self.scene.cluster(place)?;
         let cluster = Cluster::new(&record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
         self.count.cluster();
-        let Some(vertices) = Project { projection: self.beam.projection, cluster: &cluster }.run(self.s)
-        else {
-            self.targets.test_by_rays(self.s, &cluster);
-            return Ok(());
-        };
-        let interest = self.targets.interest(self.s, &vertices.bounds);
-        if interest == 0 {
-            return Ok(());
-        }
-        let triangles = usize::from(place.triangles);
-        self.count.triangles(triangles as u32);
-        let mut first = 0;
-        while first < triangles {
-            let corners = each!(3: cluster.corners(), corners => {
-                let index = self.s.bytes(&corners[first..corners.len().min(first + LANES)]);
-                let [x, y, w] = [&vertices.x, &vertices.y, &vertices.w];
-                Projected { x: self.s.lookup(x, index), y: self.s.lookup(y, index), w: self.s.lookup(w, index) }
-            });
-            let lanes = first_lanes(triangles - first);
-            let batch = Triangles {
-                corners,
-                lanes,
-                delta: vertices.delta,
-                depth_epsilon: self.beam.projection.depth_epsilon,
-                interest,
-                cluster: &cluster,
-                first,
-            };
-            self.targets.test(self.s, &batch);
-            first += LANES;
-        }
+        self.count.triangles(place.triangles.into());
+        self.s.apart(Test { targets: self.targets, projection: self.beam.projection, cluster: &cluster });
         Ok(())
     }
 }
 
-/// The projection of a cluster, kept apart.
-struct Project<'a> {
+/// The test of a cluster, kept apart: it needs all registers.
+struct Test<'a, T> {
+    targets: &'a mut T,
     projection: &'a Projection,
     cluster: &'a Cluster<'a>,
 }
 
-impl<S: Simd> Part<S> for Project<'_> {
-    type Output = Option<Vertices>;
+impl<S: Simd, T: Targets<S>> Part<S> for Test<'_, T> {
+    type Output = ();
 
-    /// Projects the vertices of a cluster, or `None` when one lies behind the eye or too far out.
     #[inline(always)]
-    fn run(self, s: S) -> Option<Vertices> {
-        let Self { projection, cluster } = self;
-        let mut vertices = Vertices {
-            x: [[0.0; LANES]; 2],
-            y: [[0.0; LANES]; 2],
-            w: [[0.0; LANES]; 2],
-            delta: projection.delta,
-            bounds: Bounds { left: 0.0, right: 0.0, top: 0.0, bottom: 0.0, near: 0.0 },
-        };
-        let count = usize::from(cluster.place().vertices);
-        let mut fits = true;
-        // Least coordinates, least negated coordinates and inverse depth.
-        let mut least = [s.splat(f32::INFINITY); 5];
-        let mut half = 0;
-        while half * LANES < count {
-            let from = half * LANES;
-            let point =
-                each!(3: cluster.axes(), axis => s.load_le(&axis[from..axis.len().min(from + LANES)]));
-            let Projected { x, y, w } = projection.project(s, point);
-            let out = s.max(s.abs(x), s.abs(y));
-            let lanes = first_lanes(count - from);
-            let is_sound =
-                s.lt(s.splat(0.0), w) & s.le(out, s.splat(projection.wide)) & s.lt(w, s.splat(W_MAX));
-            fits &= is_sound & lanes == lanes;
-            let zero = s.splat(0.0);
-            let ends = [x, s.sub(zero, x), y, s.sub(zero, y), s.sub(zero, w)];
-            for (least, end) in least.iter_mut().zip(ends) {
-                *least = s.min(s.select(lanes, end, *least), *least);
-            }
-            s.store(x, &mut vertices.x[half]);
-            s.store(y, &mut vertices.y[half]);
-            s.store(w, &mut vertices.w[half]);
-            half += 1;
+    fn run(self, s: S) {
+        let Self { targets, projection, cluster } = self;
+        match projection.triangles(s, cluster) {
+            Some(triangles) => targets.test(s, &triangles),
+            None => targets.test_by_rays(s, cluster),
         }
-        let [left, right] = [s.least(least[0]), -s.least(least[1])];
-        let [top, bottom] = [s.least(least[2]), -s.least(least[3])];
-        let near = -s.least(least[4]);
-        if left.min(top) < -NEAR || right.max(bottom) > NEAR {
-            vertices.delta = projection.delta_wide;
-        }
-        let margin = vertices.delta;
-        vertices.bounds = Bounds {
-            left: left - margin,
-            right: right + margin,
-            top: top - margin,
-            bottom: bottom + margin,
-            near: near * (1.0 + projection.depth_epsilon),
-        };
-        fits.then_some(vertices)
     }
 }
 
-impl Queue {
-    /// Long enough to hide the way from main memory behind the work on as many clusters.
-    const LENGTH: usize = 4;
-
-    const fn new() -> Self {
-        let place = ClusterRef { offset: 0, vertices: 0, triangles: 0, first: 0 };
-        let seen = Seen { blocks: 0, nearest: 0.0, centre: Vec3::ZERO, half: Vec3::ZERO };
-        let none = Waiting { place, seen };
-        Self { waiting: [none; Self::LENGTH], first: 0, count: 0 }
-    }
-
-    /// Adds a cluster; gives back the first when there is no room.
+impl Leaves {
+    /// Adds a leaf where there is room.
     #[inline(always)]
-    fn push(&mut self, next: Waiting) -> Option<Waiting> {
-        let pushed_out = if self.count == Self::LENGTH { self.take() } else { None };
-        self.waiting[(self.first + self.count) % Self::LENGTH] = next;
+    fn push(&mut self, cluster: ClusterRef, bounds: [u8; 6]) {
+        let lane = self.count % LANES;
+        self.clusters[lane] = cluster;
+        for (boxes, coordinate) in self.boxes.iter_mut().zip(bounds) {
+            boxes[lane] = coordinate;
+        }
         self.count += 1;
-        pushed_out
     }
 
+    /// Middles of the boxes, from the eye, and halves of their edges, with some margin.
     #[inline(always)]
-    fn take(&mut self) -> Option<Waiting> {
-        if self.count == 0 {
-            return None;
-        }
-        let first = self.waiting[self.first];
-        self.first = (self.first + 1) % Self::LENGTH;
-        self.count -= 1;
-        Some(first)
+    fn boxes<S: Simd>(&self, s: S, beam: &Beam<'_>) -> ([S::F; 3], [S::F; 3]) {
+        let (low, step) = (s.splat(self.frame.low()), s.splat(self.frame.step()));
+        let from_eye = self.corner - beam.projection.eye;
+        let pad = s.splat(beam.frustum.box_pad);
+        let ends = each!(3: [0, 1, 2], axis => {
+            let first = s.to_float(s.bytes(&self.boxes[axis]));
+            let last = s.add(s.to_float(s.bytes(&self.boxes[axis + 3])), s.splat(1.0));
+            let low = s.add(s.mul(first, step), low);
+            let half = s.mul(s.mul(s.sub(last, first), step), s.splat(0.5));
+            (s.add(s.splat(from_eye[axis]), s.add(low, half)), s.add(half, pad))
+        });
+        (ends.map(|(centre, _)| centre), ends.map(|(_, half)| half))
     }
 }
 
-/// The vertices of a cluster, projected; a lane that the cluster does not have is anything.
-struct Vertices {
-    x: [[f32; LANES]; 2],
-    y: [[f32; LANES]; 2],
-    w: [[f32; LANES]; 2],
-    delta: f32,
-    bounds: Bounds,
+/// What is deeper does not matter, where the least inverse depth that does is known; below 0 when nothing matters.
+#[inline(always)]
+fn farthest(least: f32) -> f32 {
+    if least == f32::INFINITY { -1.0 } else { (1.0 + 1.0 / 65_536.0) / least }
 }
-
-/// Largest inverse depth, in grid units: nearer to the eye than 2^-20 of the scene rays take over.
-const W_MAX: f32 = 1_048_576.0;

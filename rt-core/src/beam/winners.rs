@@ -1,73 +1,74 @@
 //! The triangles that pixels of a tile have found nearest so far.
 
-use glam::Vec3;
+use super::triangles::Corners;
+use crate::grid::ClusterRef;
 
-use crate::cluster::Cluster;
-use crate::ray::Primitive;
-
-/// A triangle that some pixel shows, or showed.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Winner {
-    pub(super) corners: [Vec3; 3],
-    pub(super) primitive: Primitive,
-}
-
-/// A table of winners; pixels hold places in it.
+/// The clusters that pixels show, or showed. A pixel holds the *place* of a triangle: a cluster here, and a triangle in
+/// it.
+///
+/// # Invariants
+/// The cluster under test is the last; it stays when one of its triangles wins, and gives way to the next otherwise.
 pub(super) struct Winners {
-    table: [Winner; CAPACITY],
-    count: usize,
-    /// How often places have moved.
-    pub(super) moves: u32,
+    clusters: [ClusterRef; CAPACITY],
+    current: usize,
+    /// Whether a triangle of the last cluster has won.
+    pub(super) has_won: bool,
 }
 
-/// At most 256 are in use at once, so half of the table is free after each clearing out.
-const CAPACITY: usize = 512;
-
-impl Winner {
-    /// A triangle of a cluster.
-    #[inline(always)]
-    pub(super) fn of(cluster: &Cluster<'_>, index: usize) -> Self {
-        Self { corners: cluster.triangle(index), primitive: cluster.primitive(index) }
-    }
-
-    const NONE: Self = Self { corners: [Vec3::ZERO; 3], primitive: Primitive(0) };
-}
+/// At most 1024 are in use at once, so a quarter of the table is free after each clearing out.
+const CAPACITY: usize = 1280;
 
 impl Winners {
     pub(super) const fn new() -> Self {
-        Self { table: [Winner::NONE; CAPACITY], count: 0, moves: 0 }
+        Self { clusters: [ClusterRef::NONE; CAPACITY], current: 0, has_won: false }
     }
 
-    pub(super) fn get(&self, place: u32) -> &Winner {
-        &self.table[place as usize % CAPACITY]
-    }
-
-    pub(super) const fn is_full(&self) -> bool {
-        self.count == CAPACITY
-    }
-
-    /// Adds a winner to a table that is not full, and tells its place.
-    pub(super) fn add(&mut self, winner: Winner) -> u32 {
-        self.table[self.count] = winner;
-        self.count += 1;
-        (self.count - 1) as u32
-    }
-
-    /// Keeps only the winners in use, and corrects the places.
-    pub(super) fn clear_out<'a>(&mut self, places: impl Iterator<Item = &'a mut u32>) {
-        const UNUSED: u16 = u16::MAX;
-        let (kept, mut count) = (self.table, 0);
-        let mut moved = [UNUSED; CAPACITY];
-        for place in places {
-            let old = *place as usize % CAPACITY;
-            if moved[old] == UNUSED {
-                moved[old] = count as u16;
-                self.table[count] = kept[old];
-                count += 1;
-            }
-            *place = u32::from(moved[old]);
+    /// Takes up the next cluster. `used` goes through the places that pixels hold, and is called when the table is full.
+    #[inline(always)]
+    pub(super) fn begin<'a, P: Iterator<Item = &'a mut u32>>(
+        &mut self,
+        cluster: &ClusterRef,
+        used: impl FnOnce() -> P,
+    ) {
+        self.current += usize::from(self.has_won);
+        self.has_won = false;
+        if self.current == CAPACITY {
+            self.clear_out(used());
         }
-        self.count = count;
-        self.moves += 1;
+        self.clusters[self.current % CAPACITY] = *cluster;
     }
+
+    /// The place of a triangle of the last cluster.
+    #[inline(always)]
+    pub(super) const fn place(&self, triangle: Corners) -> u32 {
+        self.current as u32 * Corners::COUNT + triangle.name()
+    }
+
+    /// The cluster and the triangle at a place.
+    #[inline(always)]
+    pub(super) const fn get(&self, place: u32) -> (&ClusterRef, Corners) {
+        (&self.clusters[cluster_of(place)], Corners::of(place))
+    }
+
+    /// Keeps only the clusters in use, and corrects the places.
+    #[inline(never)]
+    fn clear_out<'a>(&mut self, places: impl Iterator<Item = &'a mut u32>) {
+        const UNUSED: u16 = u16::MAX;
+        let kept = self.clusters;
+        let mut moved = [UNUSED; CAPACITY];
+        self.current = 0;
+        for place in places {
+            let (old, triangle) = (cluster_of(*place), Corners::of(*place));
+            if moved[old] == UNUSED {
+                moved[old] = self.current as u16;
+                self.clusters[self.current] = kept[old];
+                self.current += 1;
+            }
+            *place = u32::from(moved[old]) * Corners::COUNT + triangle.name();
+        }
+    }
+}
+
+const fn cluster_of(place: u32) -> usize {
+    (place / Corners::COUNT) as usize % CAPACITY
 }

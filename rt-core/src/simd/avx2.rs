@@ -3,7 +3,7 @@
 
 use core::arch::x86_64::*;
 
-use super::{Kind, LANES, Mask, Part, Simd, Task};
+use super::{Kind, LANES, Mask, Part, Simd, Task, low_bits};
 
 /// The proof that the processor has AVX2.
 #[derive(Clone, Copy)]
@@ -85,6 +85,33 @@ fn look_up(parts: [__m256; 4], index: __m256i) -> __m256 {
     let high = with!(_mm256_blendv_ps(parts[2], parts[3], third));
     with!(_mm256_blendv_ps(low, high, fourth))
 }
+
+/// Eight lanes, those of the mask moved to the front.
+#[inline(always)]
+fn packed(mask: Mask, value: __m256) -> __m256 {
+    let order = PACKED[usize::from(mask & 0xff)];
+    let order = with!(_mm_loadl_epi64(order.as_ptr().cast()));
+    let order = with!(_mm256_cvtepu8_epi32(order));
+    with!(_mm256_permutevar8x32_ps(value, order))
+}
+
+/// For each eight bits, the places of those that are set, lowest first, then zeros.
+const PACKED: [[u8; 8]; 256] = {
+    let mut packed = [[0; 8]; 256];
+    let mut mask = 0;
+    while mask < 256 {
+        let (mut lane, mut count) = (0, 0);
+        while lane < 8 {
+            if mask >> lane & 1 != 0 {
+                packed[mask][count] = lane;
+                count += 1;
+            }
+            lane += 1;
+        }
+        mask += 1;
+    }
+    packed
+};
 
 /// Two halves of an array.
 #[inline(always)]
@@ -190,18 +217,39 @@ impl Simd for Avx2 {
 
     #[inline(always)]
     fn least(self, a: Self::F) -> f32 {
-        let mut lanes = [0.0; LANES];
-        self.store(a, &mut lanes);
-        let mut least = f32::INFINITY;
-        for lane in lanes {
-            least = if lane < least { lane } else { least };
-        }
-        least
+        let eight = with!(_mm256_min_ps(a[0], a[1]));
+        let [low, high] = [with!(_mm256_castps256_ps128(eight)), with!(_mm256_extractf128_ps::<1>(eight))];
+        let four = with!(_mm_min_ps(low, high));
+        let high = with!(_mm_movehl_ps(four, four));
+        let two = with!(_mm_min_ps(four, high));
+        let second = with!(_mm_movehdup_ps(two));
+        let one = with!(_mm_min_ss(two, second));
+        with!(_mm_cvtss_f32(one))
     }
 
     #[inline(always)]
-    fn lookup(self, table: &[[f32; LANES]; 2], index: Self::I) -> Self::F {
-        let [a, b] = [self.load(&table[0]), self.load(&table[1])];
+    fn gather<const N: usize>(self, table: &[f32; N], index: Self::I) -> Self::F {
+        let low_bits = with!(_mm256_set1_epi32(const { low_bits(N) }));
+        each!(2: index, index => {
+            // So the entries lie in the table.
+            let index = with!(_mm256_and_si256(index, low_bits));
+            with!(_mm256_i32gather_ps::<4>(table.as_ptr(), index))
+        })
+    }
+
+    #[inline(always)]
+    fn store_packed(self, mask: Mask, value: Self::F, to: &mut [f32; LANES]) {
+        let low = packed(mask, value[0]);
+        let high = packed(mask >> 8, value[1]);
+        let count = (mask & 0xff).count_ones() as usize;
+        with!(_mm256_storeu_ps(to.as_mut_ptr(), low));
+        if let Some(second) = to.get_mut(count..count + 8) {
+            with!(_mm256_storeu_ps(second.as_mut_ptr(), high));
+        }
+    }
+
+    #[inline(always)]
+    fn pick_of_two(self, [a, b]: [Self::F; 2], index: Self::I) -> Self::F {
         let parts = [a[0], a[1], b[0], b[1]];
         [look_up(parts, index[0]), look_up(parts, index[1])]
     }
@@ -241,8 +289,9 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    fn sub_int(self, a: Self::I, b: Self::I) -> Self::I {
-        both!(_mm256_sub_epi32(a, b))
+    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I {
+        let bits = with!(_mm_cvtsi32_si128(BITS.cast_signed()));
+        [with!(_mm256_srl_epi32(a[0], bits)), with!(_mm256_srl_epi32(a[1], bits))]
     }
 
     #[inline(always)]

@@ -3,7 +3,7 @@
 
 use core::arch::x86_64::*;
 
-use super::{Kind, LANES, Mask, Part, Simd, Task, first_lanes};
+use super::{Kind, LANES, Mask, Part, Simd, Task, first_lanes, low_bits};
 
 /// The proof that the processor has AVX-512 F, DQ, BW and VL.
 #[derive(Clone, Copy)]
@@ -128,9 +128,21 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    fn lookup(self, table: &[[f32; LANES]; 2], index: Self::I) -> Self::F {
-        let [low, high] = [self.load(&table[0]), self.load(&table[1])];
+    fn gather<const N: usize>(self, table: &[f32; N], index: Self::I) -> Self::F {
+        // So the entries lie in the table.
+        let low_bits = with!(_mm512_set1_epi32(const { low_bits(N) }));
+        let index = with!(_mm512_and_si512(index, low_bits));
+        with!(_mm512_i32gather_ps::<4>(index, table.as_ptr()))
+    }
+
+    #[inline(always)]
+    fn pick_of_two(self, [low, high]: [Self::F; 2], index: Self::I) -> Self::F {
         with!(_mm512_permutex2var_ps(low, index, high))
+    }
+
+    #[inline(always)]
+    fn store_packed(self, mask: Mask, value: Self::F, to: &mut [f32; LANES]) {
+        self.store(with!(_mm512_maskz_compress_ps(mask, value)), to);
     }
 
     #[inline(always)]
@@ -155,8 +167,8 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    fn sub_int(self, a: Self::I, b: Self::I) -> Self::I {
-        with!(_mm512_sub_epi32(a, b))
+    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I {
+        with!(_mm512_srli_epi32::<BITS>(a))
     }
 
     #[inline(always)]

@@ -93,6 +93,14 @@ pub(crate) const fn first_lanes(count: usize) -> Mask {
     if count >= LANES { Mask::MAX } else { (1 << count) - 1 }
 }
 
+/// The bits that number the entries of a table whose length is a power of two.
+const fn low_bits(length: usize) -> i32 {
+    assert!(length.is_power_of_two() && length <= 1 << 30, "a table that `gather` can look into");
+    #[expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "at most 2^30")]
+    let bits = (length - 1) as i32;
+    bits
+}
+
 /// Operations on sixteen lanes. The value is the proof that the processor has them.
 ///
 /// `min`, `max` and comparisons treat NaN as the x86 instructions do: `min` and `max` give the second operand,
@@ -129,7 +137,11 @@ pub(crate) trait Simd: Copy {
     /// The smallest lane.
     fn least(self, a: Self::F) -> f32;
     /// For each lane, the entry of the table of 32 that the low five bits of the index name.
-    fn lookup(self, table: &[[f32; LANES]; 2], index: Self::I) -> Self::F;
+    fn pick_of_two(self, table: [Self::F; 2], index: Self::I) -> Self::F;
+    /// For each lane, the entry of a table that the low bits of the index name; its length is a power of two.
+    fn gather<const N: usize>(self, table: &[f32; N], index: Self::I) -> Self::F;
+    /// Moves the lanes of the mask together to the front; what is behind them is anything.
+    fn store_packed(self, mask: Mask, value: Self::F, to: &mut [f32; LANES]);
 
     /// Up to sixteen bytes as integers; lanes beyond are 0.
     fn bytes(self, from: &[u8]) -> Self::I;
@@ -137,7 +149,8 @@ pub(crate) trait Simd: Copy {
     fn to_int(self, value: Self::F) -> Self::I;
     fn to_float(self, value: Self::I) -> Self::F;
     fn store_int(self, value: Self::I, to: &mut [i32; LANES]);
-    fn sub_int(self, a: Self::I, b: Self::I) -> Self::I;
+    /// Shifts right; the values are not negative.
+    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I;
 
     fn widen(self, a: Self::F) -> Self::D;
     /// Rounds to single precision.
@@ -149,6 +162,12 @@ pub(crate) trait Simd: Copy {
     fn sqrt_f64(self, a: Self::D) -> Self::D;
     /// Lanes that are 0, of either sign.
     fn is_zero_f64(self, a: Self::D) -> Mask;
+
+    /// [`pick_of_two`](Self::pick_of_two) from memory.
+    #[inline(always)]
+    fn lookup(self, table: &[[f32; LANES]; 2], index: Self::I) -> Self::F {
+        self.pick_of_two([self.load(&table[0]), self.load(&table[1])], index)
+    }
 
     /// `a x + b y + c z`, added in this order.
     #[inline(always)]

@@ -5,7 +5,9 @@
     reason = "conversions are what is asked for; indices are masked"
 )]
 
-use super::{LANES, Mask, Part, Simd};
+use glam::{BVec4A, Vec4};
+
+use super::{LANES, Mask, Part, Simd, low_bits};
 
 /// Plain arrays.
 #[derive(Clone, Copy)]
@@ -21,9 +23,13 @@ fn map<A: Copy, B: Copy, R>(a: [A; LANES], b: [B; LANES], of: impl Fn(A, B) -> R
     core::array::from_fn(|lane| of(a[lane], b[lane]))
 }
 
+/// What `of` says of four lanes at a time, as a mask. Four are what every processor compares at once.
 #[inline(always)]
-fn mask<A: Copy, B: Copy>(a: [A; LANES], b: [B; LANES], of: impl Fn(A, B) -> bool) -> Mask {
-    (0..LANES).fold(0, |mask, lane| mask | Mask::from(of(a[lane], b[lane])) << lane)
+fn mask(a: [f32; LANES], b: [f32; LANES], of: impl Fn(Vec4, Vec4) -> BVec4A) -> Mask {
+    let four = |lanes: &[f32; LANES], first: usize| Vec4::from_slice(&lanes[first..first + 4]);
+    [0, 4, 8, 12]
+        .into_iter()
+        .fold(0, |mask, first| mask | (of(four(&a, first), four(&b, first)).bitmask() as Mask) << first)
 }
 
 impl Simd for Portable {
@@ -100,12 +106,12 @@ impl Simd for Portable {
 
     #[inline(always)]
     fn lt(self, a: Self::F, b: Self::F) -> Mask {
-        mask(a, b, |a, b| a < b)
+        mask(a, b, Vec4::cmplt)
     }
 
     #[inline(always)]
     fn le(self, a: Self::F, b: Self::F) -> Mask {
-        mask(a, b, |a, b| a <= b)
+        mask(a, b, Vec4::cmple)
     }
 
     #[inline(always)]
@@ -119,9 +125,25 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
-    fn lookup(self, table: &[[f32; LANES]; 2], index: Self::I) -> Self::F {
+    fn gather<const N: usize>(self, table: &[f32; N], index: Self::I) -> Self::F {
+        index.map(|index| table[(index & const { low_bits(N) }) as usize])
+    }
+
+    #[inline(always)]
+    fn pick_of_two(self, table: [Self::F; 2], index: Self::I) -> Self::F {
         let table = table.as_flattened();
         index.map(|index| table[(index & 31) as usize])
+    }
+
+    #[inline(always)]
+    fn store_packed(self, mask: Mask, value: Self::F, to: &mut [f32; LANES]) {
+        let mut count = 0;
+        for (lane, value) in value.into_iter().enumerate() {
+            to[count] = value;
+            count += usize::from(mask >> lane & 1);
+            // Only a full mask gets to the end, and only with the last lane.
+            count = count.min(LANES - 1);
+        }
     }
 
     #[inline(always)]
@@ -147,8 +169,8 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
-    fn sub_int(self, a: Self::I, b: Self::I) -> Self::I {
-        map(a, b, i32::wrapping_sub)
+    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I {
+        a.map(|a| a >> BITS)
     }
 
     #[inline(always)]
@@ -188,6 +210,6 @@ impl Simd for Portable {
 
     #[inline(always)]
     fn is_zero_f64(self, a: Self::D) -> Mask {
-        mask(a, a, |a, _| a == 0.0)
+        (0..LANES).fold(0, |mask, lane| mask | Mask::from(a[lane] == 0.0) << lane)
     }
 }

@@ -43,6 +43,11 @@ impl Task for EveryOperation {
         let (words, _) = self.bytes.as_chunks::<4>();
         floats(s.load_le(words));
         floats(s.lookup(&[self.a, self.b], s.bytes(&self.bytes)));
+        floats(s.gather(&self.a, s.bytes(&self.bytes)));
+        let mut packed = [0.0; LANES];
+        s.store_packed(self.mask, a, &mut packed);
+        packed[self.mask.count_ones() as usize..].fill(0.0);
+        floats(s.load(&packed));
         let (wide_a, wide_b) = (s.widen(a), s.widen(b));
         for value in [
             s.add_f64(wide_a, wide_b),
@@ -56,7 +61,7 @@ impl Task for EveryOperation {
         let small = s.to_float(s.bytes(&self.bytes));
         floats(small);
         let integers = s.to_int(s.mul(small, s.splat(0.1)));
-        for value in [integers, s.sub_int(integers, s.bytes(&self.bytes))] {
+        for value in [integers, s.shift_right::<3>(integers)] {
             let lanes = s.int_array(value);
             found.extend(lanes.map(|lane| u64::from(lane.cast_unsigned())));
         }

@@ -11,7 +11,7 @@ pub mod target;
 
 use glam::Vec3;
 use proptest::prelude::*;
-use rt_core::{Flat, Hit, Ray, SceneView, brute};
+use rt_core::{Flat, Hit, Lanes, Ray, SceneView, brute};
 use scene::{BuildOptions, Mesh, build};
 
 /// The image of a mesh.
@@ -29,8 +29,12 @@ pub fn data(name: &str) -> Option<std::path::PathBuf> {
     folder.map(|folder| folder.join(name))
 }
 
-/// Asserts that the grid answers as brute force does, bit for bit, for nearest and any hit.
+/// Asserts that the grid answers as brute force does, bit for bit and with all lanes, for nearest and any hit.
 pub fn agree(scene: &SceneView<Flat<'_>>, ray: &Ray) -> Option<Hit> {
+    Lanes::available().map(|lanes| agree_with(&scene.with_lanes(lanes), ray)).last().flatten()
+}
+
+fn agree_with(scene: &SceneView<Flat<'_>>, ray: &Ray) -> Option<Hit> {
     let walked = scene.nearest(ray, &mut ()).expect("a sound image");
     let tested = brute::nearest(scene, ray).expect("a sound image");
     // A copy of the triangle may stand for it, so the mesh's number is compared, not the place.
@@ -42,7 +46,8 @@ pub fn agree(scene: &SceneView<Flat<'_>>, ray: &Ray) -> Option<Hit> {
     assert_eq!(
         walked.as_ref().map(key),
         tested.as_ref().map(key),
-        "{ray:?}: {walked:?} by the grid, {tested:?} by brute force"
+        "{ray:?}: {walked:?} by the grid with {}, {tested:?} by brute force",
+        scene.lanes()
     );
     assert_eq!(scene.any(ray, &mut ()).expect("a sound image"), tested.is_some(), "any hit of {ray:?}");
     walked

@@ -48,7 +48,7 @@ pub struct BuildOptions {
 
 impl Default for BuildOptions {
     fn default() -> Self {
-        Self { slack: 0.5 }
+        Self { slack: 0.625 }
     }
 }
 

@@ -1,0 +1,127 @@
+//! Which pages a tile uses, noted for next to nothing.
+
+use core::cell::{Cell, RefCell};
+
+use dsm_core::id::PageId;
+use rt_core::SceneMemory;
+
+/// The pages that a thread has used since it last took them.
+#[derive(Debug)]
+pub struct Notes {
+    page_shift: u32,
+    /// The page of the last record, `u64::MAX` before the first.
+    last: Cell<u64>,
+    /// A bit for each page that is in `pages`.
+    seen: Vec<Cell<u64>>,
+    pages: RefCell<Vec<PageId>>,
+}
+
+/// A scene's memory, and notes of which pages of it are used.
+///
+/// A record of the same page as the one before costs a shift and a comparison.
+#[derive(Clone, Copy, Debug)]
+pub struct Noted<'a, M> {
+    memory: M,
+    notes: &'a Notes,
+}
+
+impl Notes {
+    /// Nothing noted of an image yet.
+    #[must_use]
+    pub fn new(page_bytes: u32, image_bytes: u64) -> Self {
+        let pages = image_bytes.div_ceil(page_bytes.into());
+        let words = usize::try_from(pages.div_ceil(64)).unwrap_or(0);
+        Self {
+            page_shift: page_bytes.trailing_zeros(),
+            last: Cell::new(u64::MAX),
+            seen: vec![Cell::new(0); words],
+            pages: RefCell::new(Vec::new()),
+        }
+    }
+
+    /// Gives the pages that were used since the last call to `use_pages`, each once, in the order of their first use.
+    pub fn take(&self, use_pages: impl FnOnce(&[PageId])) {
+        let mut pages = self.pages.borrow_mut();
+        use_pages(&pages);
+        for page in pages.drain(..) {
+            self.seen[page.index() / 64].set(0);
+        }
+        self.last.set(u64::MAX);
+    }
+
+    #[inline]
+    fn record(&self, offset: u64) {
+        let page = offset >> self.page_shift;
+        if page != self.last.get() {
+            self.note(page);
+        }
+    }
+
+    #[inline(never)]
+    fn note(&self, page: u64) {
+        self.last.set(page);
+        let Ok(number) = u32::try_from(page) else { return };
+        let Some(word) = self.seen.get(PageId(number).index() / 64) else { return };
+        let bit = 1 << (page % 64);
+        if word.get() & bit == 0 {
+            word.set(word.get() | bit);
+            self.pages.borrow_mut().push(PageId(number));
+        }
+    }
+}
+
+impl<'a, M> Noted<'a, M> {
+    /// Notes what is read of `memory`.
+    pub const fn new(memory: M, notes: &'a Notes) -> Self {
+        Self { memory, notes }
+    }
+}
+
+impl<M: SceneMemory> SceneMemory for Noted<'_, M> {
+    type Record<'b>
+        = M::Record<'b>
+    where
+        Self: 'b;
+
+    #[inline]
+    fn record(&self, offset: u64, length: usize) -> Option<Self::Record<'_>> {
+        self.notes.record(offset);
+        self.memory.record(offset, length)
+    }
+
+    fn length(&self) -> u64 {
+        self.memory.length()
+    }
+
+    #[inline]
+    fn prefetch(&self, offset: u64, length: usize) {
+        self.memory.prefetch(offset, length);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rt_core::Flat;
+
+    use super::*;
+
+    #[test]
+    fn each_page_is_noted_once_and_anew_after_it_was_taken() {
+        let bytes = vec![0; 70 * 4096];
+        let notes = Notes::new(4096, 70 * 4096);
+        let memory = Noted::new(Flat::new(&bytes), &notes);
+        let taken = || {
+            let mut taken = Vec::new();
+            notes.take(|pages| taken.extend(pages.iter().map(|page| page.0)));
+            taken
+        };
+        for page in [3, 3, 69, 3, 68, 69, 0] {
+            assert!(memory.record(page * 4096 + 8, 16).is_some());
+        }
+        assert_eq!(memory.record(u64::MAX, 1), None);
+        assert_eq!(taken(), [3, 69, 68, 0]);
+        assert!(memory.record(0, 16).is_some());
+        assert_eq!(taken(), [0]);
+        assert!(taken().is_empty());
+    }
+}

@@ -1,0 +1,243 @@
+//! The triangles of a cluster against the pixels of a tile.
+//!
+//! Sixteen triangles at a time are held against the grid of pixels; most miss every one. What is left is written down, so
+//! that what follows has full lanes and few branches: small triangles with each pixel that they may cover, tested as
+//! *pairs*, sixteen at a time; larger triangles, tested one by one against blocks of sixteen pixels.
+
+use super::edges::{Edges, Extent};
+use super::pixels::{COLUMNS, Pixels, ROWS, lanes_in};
+use super::triangles::{Corners, Triangles};
+use crate::blocks::{BLOCKS, block_at, first_pixel};
+use crate::grid::TRIANGLES_MAX;
+use crate::memory::SceneMemory;
+use crate::simd::{LANES, Mask, Simd, each, first_lanes};
+use crate::tile::TILE_SIZE;
+
+/// Triangles that need a closer look, by name.
+pub(super) struct Lists {
+    /// Small ones. Added is which of their up to four pixels is meant, times [`Corners::COUNT`]: 1 for the right, 2 for the
+    /// lower.
+    small: [f32; 4 * TRIANGLES_MAX as usize + LANES],
+    small_count: usize,
+    large: [f32; TRIANGLES_MAX as usize + LANES],
+    large_count: usize,
+}
+
+/// First and last column and row of pixels that each triangle may cover.
+struct Reach<F> {
+    left: F,
+    right: F,
+    top: F,
+    bottom: F,
+}
+
+impl Lists {
+    pub(super) const fn new() -> Self {
+        Self {
+            small: [0.0; 4 * TRIANGLES_MAX as usize + LANES],
+            small_count: 0,
+            large: [0.0; TRIANGLES_MAX as usize + LANES],
+            large_count: 0,
+        }
+    }
+}
+
+impl<F: Copy> Reach<F> {
+    #[inline(always)]
+    fn of<S: Simd<F = F>, M>(s: S, pixels: &Pixels<'_, M>, extent: &Extent<F>, delta: f32) -> Self {
+        let delta = s.splat(delta);
+        Self {
+            left: first_place(s, s.sub(extent.left, delta)),
+            right: last_place(s, s.add(extent.right, delta), pixels.tile.width),
+            top: first_place(s, s.sub(extent.top, delta)),
+            bottom: last_place(s, s.add(extent.bottom, delta), pixels.tile.height),
+        }
+    }
+}
+
+/// The first pixel that does not lie before a place.
+#[inline(always)]
+fn first_place<S: Simd>(s: S, place: S::F) -> S::F {
+    let place = s.min(s.max(place, s.splat(0.0)), s.splat(2.0 * TILE_SIZE as f32));
+    // Nearly the next whole number: a pixel too many does not matter, one too few would.
+    s.to_float(s.to_int(s.add(place, s.splat(0.999_99))))
+}
+
+/// The last pixel that does not lie behind a place, or -1.
+#[inline(always)]
+fn last_place<S: Simd>(s: S, place: S::F, length: u32) -> S::F {
+    let place = s.max(s.min(place, s.splat(length as f32 - 1.0)), s.splat(-1.0));
+    // One more, cut off, one less: cutting off goes towards 0.
+    let next = s.to_float(s.to_int(s.add(place, s.splat(1.0))));
+    s.sub(next, s.splat(1.0))
+}
+
+impl<M: SceneMemory> Pixels<'_, M> {
+    /// Tests the triangles of a cluster.
+    #[inline(always)]
+    pub(super) fn test_triangles<S: Simd>(&mut self, s: S, triangles: &Triangles<'_, S>) {
+        if self.is_outside(&triangles.bounds) {
+            return;
+        }
+        self.list(s, triangles);
+        self.begin(triangles.cluster.place());
+        self.test_small(s, triangles);
+        if self.lists.large_count > 0 {
+            self.test_large(s, triangles);
+        }
+    }
+
+    /// Lists the triangles that reach over pixels.
+    #[inline(always)]
+    fn list<S: Simd>(&mut self, s: S, triangles: &Triangles<'_, S>) {
+        let (zero, one, two) = (s.splat(0.0), s.splat(1.0), s.splat(2.0));
+        let nearer = 1.0 + triangles.depth_epsilon;
+        let (mut small_count, mut large_count) = (0, 0);
+        for first in (0..triangles.count()).step_by(LANES) {
+            let batch = triangles.batch(s, first);
+            let extent = Extent::of(s, &batch.corners);
+            let reach = Reach::of(s, self, &extent, triangles.delta);
+            let wide = s.sub(reach.right, reach.left);
+            let high = s.sub(reach.bottom, reach.top);
+            let lanes = s.le(zero, wide)
+                & s.le(zero, high)
+                & s.le(s.splat(self.least), s.mul(extent.near, s.splat(nearer)))
+                & batch.lanes;
+            let small = lanes & s.lt(wide, two) & s.lt(high, two);
+            let (wide, high) = (s.le(one, wide) & small, s.le(one, high) & small);
+            for (which, lanes) in [small, wide, high, wide & high].into_iter().enumerate() {
+                let names = s.add(batch.names, s.splat((which as u32 * Corners::COUNT) as f32));
+                pack(s, lanes, names, &mut self.lists.small, &mut small_count);
+            }
+            pack(s, lanes & !small, batch.names, &mut self.lists.large, &mut large_count);
+        }
+        (self.lists.small_count, self.lists.large_count) = (small_count, large_count);
+    }
+
+    /// Tests triangles that reach over at most 2x2 pixels.
+    #[inline(always)]
+    fn test_small<S: Simd>(&mut self, s: S, triangles: &Triangles<'_, S>) {
+        let count = self.lists.small_count;
+        for first in (0..count).step_by(LANES) {
+            let names = s.to_int(s.load(chunk(&self.lists.small, first)));
+            let corners = triangles.named(s, names);
+            let extent = Extent::of(s, &corners);
+            let edges = extent.edges(s, &corners, triangles.delta);
+            let reach = Reach::of(s, self, &extent, triangles.delta);
+            let (zero, one, two) = (s.splat(0.0), s.splat(1.0), s.splat(2.0));
+            let which = s.to_float(s.shift_right::<15>(names));
+            let is_lower = s.le(two, which);
+            let x = s.add(reach.left, s.sub(which, s.select(is_lower, two, zero)));
+            let y = s.add(reach.top, s.select(is_lower, one, zero));
+            let covered = edges.cover(s, (x, y), triangles.depth_epsilon);
+            let places = [s.lookup(&PLACES[0], s.to_int(x)), s.lookup(&PLACES[1], s.to_int(y))];
+            let pixels = s.int_array(s.to_int(s.add(places[0], places[1])));
+            let names = s.int_array(names);
+            let (low, high) = (s.array(covered.low), s.array(covered.high));
+            let mut candidates = covered.candidates & first_lanes(count - first);
+            while candidates != 0 {
+                let at = candidates.trailing_zeros() as usize;
+                candidates &= candidates - 1;
+                let corners = Corners::of(names[at] as u32);
+                let pixel = pixels[at] as usize;
+                let pixel = (pixel / LANES % BLOCKS, pixel % LANES);
+                let found = &self.blocks[pixel.0];
+                if high[at] < found.low[pixel.1] {
+                    continue;
+                }
+                if covered.sure >> at & 1 != 0 && low[at] > found.high[pixel.1] {
+                    self.take(pixel, corners, low[at], high[at]);
+                } else {
+                    self.decide(pixel, triangles.cluster, corners);
+                }
+            }
+        }
+    }
+
+    /// Tests triangles that reach over more, one at a time, against the blocks they reach over.
+    #[inline(always)]
+    fn test_large<S: Simd>(&mut self, s: S, triangles: &Triangles<'_, S>) {
+        for first in (0..self.lists.large_count).step_by(LANES) {
+            let names = s.to_int(s.load(chunk(&self.lists.large, first)));
+            let corners = triangles.named(s, names);
+            let extent = Extent::of(s, &corners);
+            let edges = extent.edges(s, &corners, triangles.delta).by_lane(s);
+            let reach = Reach::of(s, self, &extent, triangles.delta);
+            let near = s.array(s.mul(extent.near, s.splat(1.0 + triangles.depth_epsilon)));
+            let [left, right, top, bottom] = each!(4: [reach.left, reach.right, reach.top, reach.bottom], end => s.int_array(s.to_int(end)));
+            let names = s.int_array(names);
+            for at in 0..LANES.min(self.lists.large_count - first) {
+                let one = edges.splat(s, at);
+                let corners = Corners::of(names[at] as u32);
+                for row in top[at] / 4..=bottom[at] / 4 {
+                    for column in left[at] / 4..=right[at] / 4 {
+                        let block = block_at(column as usize, row as usize);
+                        if self.waiting[block] <= near[at] {
+                            let (columns, rows) = ((left[at], right[at]), (top[at], bottom[at]));
+                            let within = lanes_in(columns, rows, (column * 4, row * 4));
+                            self.test_block(s, triangles, (&one, corners), (block, within));
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Tests one triangle, in all lanes, against pixels of a block.
+    #[inline(always)]
+    fn test_block<S: Simd>(
+        &mut self,
+        s: S,
+        triangles: &Triangles<'_, S>,
+        (one, corners): (&Edges<S::F>, Corners),
+        (block, within): (usize, Mask),
+    ) {
+        let (x, y) = first_pixel(block);
+        let (x, y) = (s.add(s.load(&COLUMNS), s.splat(x as f32)), s.add(s.load(&ROWS), s.splat(y as f32)));
+        let covered = one.cover(s, (x, y), triangles.depth_epsilon);
+        let place = self.winners.place(corners);
+        let found = &mut self.blocks[block];
+        let (low, high) = (s.load(&found.low), s.load(&found.high));
+        let candidates = covered.candidates & s.le(low, covered.high) & within;
+        let wins = candidates & covered.sure & s.lt(high, covered.low);
+        s.store(s.select(wins, covered.low, low), &mut found.low);
+        s.store(s.select(wins, covered.high, high), &mut found.high);
+        let places = bytemuck::cast_mut::<_, [f32; LANES]>(&mut found.place);
+        s.store(s.select(wins, s.splat(f32::from_bits(place)), s.load(places)), places);
+        self.mark(block, wins);
+        let mut open = candidates & !wins;
+        while open != 0 {
+            self.decide((block, open.trailing_zeros() as usize), triangles.cluster, corners);
+            open &= open - 1;
+        }
+    }
+}
+
+/// Adds the lanes of the mask to a list.
+#[inline(always)]
+fn pack<S: Simd, const N: usize>(s: S, lanes: Mask, values: S::F, list: &mut [f32; N], count: &mut usize) {
+    if let Some(to) = list.get_mut(*count..).and_then(<[f32]>::first_chunk_mut) {
+        s.store_packed(lanes, values, to);
+    }
+    *count += lanes.count_ones() as usize;
+}
+
+/// Sixteen entries from `first` on.
+#[inline(always)]
+fn chunk<const N: usize>(list: &[f32; N], first: usize) -> &[f32; LANES] {
+    // Lists end before the last sixteen.
+    let first = first.min(N - LANES);
+    list[first..].first_chunk().unwrap_or(&[0.0; LANES])
+}
+
+/// What a column, and a row, add to the number of a pixel, which is that of its block times sixteen plus its lane.
+const PLACES: [[[f32; LANES]; 2]; 2] = {
+    let mut places = [[[0.0; LANES]; 2]; 2];
+    let mut at = 0;
+    while at < 2 * LANES {
+        places[0][at / LANES][at % LANES] = (block_at(at / 4, 0) * LANES + at % 4) as f32;
+        places[1][at / LANES][at % LANES] = (block_at(0, at / 4) * LANES + at % 4 * 4) as f32;
+        at += 1;
+    }
+    places
+};

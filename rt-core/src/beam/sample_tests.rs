@@ -1,0 +1,337 @@
+//! The triangles of a cluster against the shadow samples of a tile.
+//!
+//! In steps that have full lanes and few branches. First, which triangles reach over which *groups* of samples: boxes
+//! against boxes. Then, triangle by triangle against a group, or sample by sample against the triangles, whichever is
+//! less work, which samples lie within the box of which triangle; these *pairs* are written down. Last, the pairs are
+//! tested, sixteen at a time. Most are of a lit sample and a triangle of the surface it lies on, and decide nothing.
+
+use super::edges::Extent;
+use super::samples::{GROUPS, Places, Samples};
+use super::triangles::{Bounds, Corners, Triangles};
+use super::walk::Targets;
+use crate::cluster::Cluster;
+use crate::grid::TRIANGLES_MAX;
+use crate::simd::{LANES, Mask, Simd, first_lanes};
+
+/// The shadow samples of a tile, each looking for any triangle between it and the light.
+pub(super) struct Shadows<'a> {
+    pub(super) samples: Samples<'a>,
+    room: Room,
+}
+
+/// Where samples must lie that a triangle can shadow: within its bounds, with some margin, and behind it.
+#[derive(Clone, Copy)]
+pub(super) struct Around<F> {
+    left: F,
+    right: F,
+    top: F,
+    bottom: F,
+    near: F,
+}
+
+/// [`Around`] each triangle of a cluster, by batches, and the triangles' names.
+struct AroundAll {
+    around: [Around<[f32; LANES]>; BATCHES],
+    names: [[f32; LANES]; BATCHES],
+}
+
+/// Room for what the steps write down.
+struct Room {
+    all: AroundAll,
+    /// Triangles that reach over each group, for the groups that the cluster reaches over.
+    reaching: [[Mask; BATCHES]; GROUPS],
+    pairs: Pairs,
+}
+
+/// Pairs of a sample and a triangle, waiting to be tested.
+struct Pairs {
+    names: [f32; CAPACITY],
+    /// Sixteen times the group, plus the lane.
+    samples: [f32; CAPACITY],
+    count: usize,
+}
+
+/// Most batches of a cluster.
+const BATCHES: usize = TRIANGLES_MAX as usize / LANES;
+
+/// Enough that tests seldom lack pairs; apart from powers of two, so that the arrays do not compete for cache lines.
+const CAPACITY: usize = 272;
+
+impl<'a> Shadows<'a> {
+    pub(super) const fn new(samples: Samples<'a>) -> Self {
+        const NONE: [f32; LANES] = [0.0; LANES];
+        const MANY: [f32; CAPACITY] = [0.0; CAPACITY];
+        let around = Around { left: NONE, right: NONE, top: NONE, bottom: NONE, near: NONE };
+        let all = AroundAll { around: [around; BATCHES], names: [NONE; BATCHES] };
+        let pairs = Pairs { names: MANY, samples: MANY, count: 0 };
+        Self { samples, room: Room { all, reaching: [[0; BATCHES]; GROUPS], pairs } }
+    }
+}
+
+impl<S: Simd> Targets<S> for Shadows<'_> {
+    #[inline(always)]
+    fn least(&mut self, s: S) -> f32 {
+        self.samples.least(s)
+    }
+
+    /// Whether there is an open sample within the bounds.
+    #[inline(always)]
+    fn wants(&mut self, s: S, bounds: &Bounds) -> bool {
+        self.samples.wants(s, bounds)
+    }
+
+    #[inline(always)]
+    fn test(&mut self, s: S, triangles: &Triangles<'_, S>) {
+        let groups = self.samples.interest(s, &triangles.bounds);
+        if groups == 0 {
+            return;
+        }
+        let batches = self.room.all.fill(s, triangles);
+        let around = Around::of(s, &triangles.bounds);
+        if self.is_less_by_triangle(s, groups, batches, &around) {
+            self.pair_by_triangle(s, groups, batches, triangles);
+        } else {
+            self.pair_by_sample(s, groups, (batches, &around), triangles);
+        }
+        self.room.pairs.test(s, &mut self.samples, triangles);
+    }
+
+    fn test_by_rays(&mut self, s: S, cluster: &Cluster<'_>) {
+        self.samples.test_by_rays(s, cluster);
+    }
+}
+
+impl Shadows<'_> {
+    /// Finds which triangles reach over which groups, and whether it is less work to go triangle by triangle.
+    #[inline(always)]
+    fn is_less_by_triangle<S: Simd>(
+        &mut self,
+        s: S,
+        groups: u64,
+        batches: usize,
+        around: &Around<S::F>,
+    ) -> bool {
+        let Self { samples, room: Room { all, reaching, .. } } = self;
+        let (mut by_triangle, mut by_sample) = (0, 0);
+        for group in bits(groups) {
+            let corners = samples.corners_of_group(s, group);
+            for (reaching, around) in reaching[group].iter_mut().zip(&all.around).take(batches) {
+                *reaching = around.load(s).reaches(s, &corners);
+                by_triangle += reaching.count_ones();
+            }
+            let places = samples.group(s, group);
+            by_sample += around.reaches(s, &[places; 2]).count_ones() * batches as u32;
+        }
+        by_triangle <= by_sample
+    }
+
+    /// Pairs each triangle with the samples of the groups that it reaches over.
+    #[inline(always)]
+    fn pair_by_triangle<S: Simd>(&mut self, s: S, groups: u64, batches: usize, triangles: &Triangles<'_, S>) {
+        let Self { samples, room: Room { all, reaching, pairs } } = self;
+        for group in bits(groups) {
+            for (batch, reaching) in reaching[group].into_iter().enumerate().take(batches) {
+                for lane in bits(reaching.into()) {
+                    let places = samples.group(s, group);
+                    pairs.add_samples(s, &places, group, all.one(s, batch, lane));
+                    pairs.test_if_full(s, samples, triangles);
+                }
+            }
+        }
+    }
+
+    /// Pairs each sample within the bounds of the cluster with the triangles that reach over it.
+    #[inline(always)]
+    fn pair_by_sample<S: Simd>(
+        &mut self,
+        s: S,
+        groups: u64,
+        (batches, around): (usize, &Around<S::F>),
+        triangles: &Triangles<'_, S>,
+    ) {
+        let Self { samples, room: Room { all, pairs, .. } } = self;
+        for group in bits(groups) {
+            let places = samples.group(s, group);
+            for lane in bits(around.reaches(s, &[places; 2]).into()) {
+                let place = samples.sample(s, (group, lane));
+                for (around, names) in all.around.iter().zip(&all.names).take(batches) {
+                    let batch = (around.load(s), s.load(names));
+                    pairs.add_triangles(s, &place, group * LANES + lane, batch);
+                    pairs.test_if_full(s, samples, triangles);
+                }
+            }
+        }
+    }
+}
+
+impl AroundAll {
+    /// Fills in the triangles of a cluster, and tells how many batches there are.
+    #[inline(always)]
+    fn fill<S: Simd>(&mut self, s: S, triangles: &Triangles<'_, S>) -> usize {
+        let (delta, nearer) = (s.splat(triangles.delta), s.splat(1.0 + triangles.depth_epsilon));
+        let batches = triangles.count().div_ceil(LANES).min(BATCHES);
+        for (at, (around, names)) in self.around.iter_mut().zip(&mut self.names).enumerate().take(batches) {
+            let batch = triangles.batch(s, at * LANES);
+            let extent = Extent::of(s, &batch.corners);
+            s.store(s.sub(extent.left, delta), &mut around.left);
+            s.store(s.add(extent.right, delta), &mut around.right);
+            s.store(s.sub(extent.top, delta), &mut around.top);
+            s.store(s.add(extent.bottom, delta), &mut around.bottom);
+            // Lanes without a triangle are nowhere.
+            s.store(s.select(batch.lanes, s.mul(extent.near, nearer), s.splat(0.0)), &mut around.near);
+            s.store(batch.names, names);
+        }
+        batches
+    }
+
+    /// One triangle in all lanes, and its name.
+    #[inline(always)]
+    fn one<S: Simd>(&self, s: S, batch: usize, lane: usize) -> (Around<S::F>, S::F) {
+        let Around { left, right, top, bottom, near } = &self.around[batch];
+        let around = Around {
+            left: s.splat(left[lane]),
+            right: s.splat(right[lane]),
+            top: s.splat(top[lane]),
+            bottom: s.splat(bottom[lane]),
+            near: s.splat(near[lane]),
+        };
+        (around, s.splat(self.names[batch][lane]))
+    }
+}
+
+impl Around<[f32; LANES]> {
+    #[inline(always)]
+    fn load<S: Simd>(&self, s: S) -> Around<S::F> {
+        Around {
+            left: s.load(&self.left),
+            right: s.load(&self.right),
+            top: s.load(&self.top),
+            bottom: s.load(&self.bottom),
+            near: s.load(&self.near),
+        }
+    }
+}
+
+impl<F: Copy> Around<F> {
+    /// The same in all lanes.
+    #[inline(always)]
+    pub(super) fn of<S: Simd<F = F>>(s: S, bounds: &Bounds) -> Self {
+        Self {
+            left: s.splat(bounds.left),
+            right: s.splat(bounds.right),
+            top: s.splat(bounds.top),
+            bottom: s.splat(bounds.bottom),
+            near: s.splat(bounds.near),
+        }
+    }
+
+    /// The lanes in which the box between two places reaches in.
+    #[inline(always)]
+    pub(super) fn reaches<S: Simd<F = F>>(&self, s: S, [low, high]: &[Places<F>; 2]) -> Mask {
+        s.le(self.left, high.x)
+            & s.le(low.x, self.right)
+            & s.le(self.top, high.y)
+            & s.le(low.y, self.bottom)
+            & s.lt(low.w, self.near)
+    }
+}
+
+impl Pairs {
+    /// Adds the samples of a group that a triangle, the same in all lanes, may cover.
+    #[inline(always)]
+    fn add_samples<S: Simd>(
+        &mut self,
+        s: S,
+        places: &Places<S::F>,
+        group: usize,
+        (around, name): (Around<S::F>, S::F),
+    ) {
+        let covered = around.reaches(s, &[*places; 2]);
+        let numbers = s.add(s.load(&NUMBERS), s.splat((group * LANES) as f32));
+        self.add(s, covered, numbers, name);
+    }
+
+    /// Adds the triangles of a batch that may cover a sample, the same in all lanes.
+    #[inline(always)]
+    fn add_triangles<S: Simd>(
+        &mut self,
+        s: S,
+        place: &Places<S::F>,
+        sample: usize,
+        (around, names): (Around<S::F>, S::F),
+    ) {
+        let covering = around.reaches(s, &[*place; 2]);
+        self.add(s, covering, s.splat(sample as f32), names);
+    }
+
+    /// Adds pairs, one for each lane of the mask.
+    #[inline(always)]
+    fn add<S: Simd>(&mut self, s: S, lanes: Mask, samples: S::F, names: S::F) {
+        // There is room for sixteen; see `test_if_full`.
+        let at = self.count.min(CAPACITY - LANES);
+        for (to, value) in [(&mut self.names, names), (&mut self.samples, samples)] {
+            if let Some(to) = to[at..].first_chunk_mut() {
+                s.store_packed(lanes, value, to);
+            }
+        }
+        self.count += lanes.count_ones() as usize;
+    }
+
+    #[inline(always)]
+    fn test_if_full<S: Simd>(&mut self, s: S, samples: &mut Samples<'_>, triangles: &Triangles<'_, S>) {
+        if self.count > CAPACITY - LANES {
+            self.test(s, samples, triangles);
+        }
+    }
+
+    /// Tests all pairs, and forgets them.
+    #[inline(always)]
+    fn test<S: Simd>(&mut self, s: S, samples: &mut Samples<'_>, triangles: &Triangles<'_, S>) {
+        for first in (0..self.count).step_by(LANES) {
+            let corners = triangles.named(s, s.to_int(s.load(chunk(&self.names, first))));
+            let edges = Extent::of(s, &corners).edges(s, &corners, triangles.delta);
+            let numbers = s.to_int(s.load(chunk(&self.samples, first)));
+            let Places { x, y, w: depth } = samples.numbered(s, numbers);
+            let covered = edges.cover(s, (x, y), triangles.depth_epsilon);
+            let undecided = covered.candidates & s.le(depth, covered.high) & first_lanes(self.count - first);
+            if undecided == 0 {
+                continue;
+            }
+            let certain = undecided & covered.sure & s.lt(depth, covered.low);
+            // First those that need no ray.
+            for (pairs, is_certain) in [(certain, true), (undecided & !certain, false)] {
+                for lane in bits(pairs.into()) {
+                    let number = self.samples[first + lane] as usize;
+                    let sample = (number / LANES % GROUPS, number % LANES);
+                    let corners = || Corners::of(self.names[first + lane] as u32).points(triangles.cluster);
+                    if samples.is_open(sample) && (is_certain || samples.is_shadowed(sample, corners())) {
+                        samples.close(s, sample);
+                    }
+                }
+            }
+        }
+        self.count = 0;
+    }
+}
+
+/// The places of the bits that are set.
+#[inline(always)]
+fn bits(mut mask: u64) -> impl Iterator<Item = usize> {
+    core::iter::from_fn(move || {
+        let at = mask.trailing_zeros() as usize;
+        let is_left = mask != 0;
+        mask &= mask.wrapping_sub(1);
+        is_left.then_some(at % 64)
+    })
+}
+
+/// Sixteen entries from `first` on.
+#[inline(always)]
+fn chunk(from: &[f32; CAPACITY], first: usize) -> &[f32; LANES] {
+    // Pairs end before the last sixteen.
+    let first = first.min(CAPACITY - LANES);
+    from[first..].first_chunk().unwrap_or(&[0.0; LANES])
+}
+
+const NUMBERS: [f32; LANES] =
+    [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
