@@ -63,6 +63,8 @@ fn scene(folder: &Folder) -> String {
 
 /// A run in which the processes are killed that `kills` names. It must end, and well, and warn of each.
 fn disturbed(folder: &Folder, arguments: &[&str], kills: &[String], what: &str) -> RunReport {
+    // Shown by a failing test; a run that hangs can say nothing itself.
+    println!("{what}");
     let file = folder.file("disturbed.json");
     let mut all = [&["render"][..], arguments, &["--report", &file, "--quiet"]].concat();
     kills.iter().for_each(|kill| all.extend(["--kill", kill]));
