@@ -56,6 +56,7 @@ nostd() {
 
 loom() {
     RUSTFLAGS="--cfg loom" cargo test -p transport-shm --test loom --release --locked --target-dir target/loom
+    RUSTFLAGS="--cfg loom" cargo test -p fault-linux --lib --release --locked --target-dir target/loom
 }
 
 # Puts faults into the protocol, one at a time, and prints which engine notices which. Half a minute.

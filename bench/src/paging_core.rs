@@ -1,10 +1,11 @@
 //! The state machine alone: what a fault costs it, whatever the number of pages, and what it keeps of each.
 
+use core::hint::black_box;
 use std::time::Instant as Stopwatch;
 
 use anyhow::{Result, ensure};
 use dsm_core::id::{NodeId, PageId, PortId};
-use dsm_core::node::{Config, Fault, Node, Output};
+use dsm_core::node::{Config, EVICT_BATCH_MAX, Fault, Node, Output};
 use dsm_core::placement::Stripes;
 use dsm_core::replacement::{Policy, PolicyKind};
 use dsm_core::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
@@ -32,7 +33,8 @@ const PORT: PortId = PortId(0);
 const FAULT_NS_MAX: f64 = 200.0;
 
 fn run(effort: Effort) -> Result<Findings> {
-    let heads = ["pages", "slots", "ns per fault, grant and eviction"];
+    let heads =
+        ["pages", "slots", "ns per fault, grant and eviction", "ns of its random memory accesses alone"];
     let mut table =
         Table::new("core", "The paging core, one thread, slots for a sixteenth of the pages", &heads);
     let mut points = Vec::new();
@@ -42,6 +44,8 @@ fn run(effort: Effort) -> Result<Findings> {
         let samples: Vec<f64> = (0..effort.pick(9, 1))
             .map(|_| fault_ns(pages, effort.pick(400_000, 1_000)))
             .collect::<Result<_>>()?;
+        let memory: Vec<f64> =
+            (0..effort.pick(9, 1)).map(|_| memory_ns(pages, effort.pick(2_000_000, 1_000))).collect();
         let spread = Spread::of(&samples);
         slowest = slowest.max(spread.median);
         points.push((f64::from(pages), spread.median));
@@ -49,6 +53,7 @@ fn run(effort: Effort) -> Result<Findings> {
             Cell::Count(pages.into()),
             Cell::Count((pages / 16).into()),
             Cell::Spread(spread, 0),
+            Cell::Spread(Spread::of(&memory), 0),
         ]);
     }
     table.note("each fault is of a random page that is absent; its grant is parsed and checked; its slot comes of an eviction");
@@ -127,39 +132,75 @@ fn bring(node: &mut Node<'_>, now: Instant, page: PageId) -> bool {
     was_absent
 }
 
-/// Does at once what the node says; requests are granted.
+/// Does what the node says, all of it, then what comes of that: victims leave, requests are granted, pages filled.
 fn drive(node: &mut Node<'_>, now: Instant) {
+    let mut work = gather(node);
+    for page in &work.victims {
+        node.handle_unmapped(now, *page);
+        gather(node);
+    }
+    if let Some(grant) = work.grant.take() {
+        let believed = node.handle_message(now, &grant);
+        debug_assert!(believed.is_ok(), "a grant that was asked for");
+        work.arrived = gather(node).arrived;
+    }
+    if let Some(page) = work.arrived {
+        node.handle_filled(now, page);
+        gather(node);
+    }
+}
+
+/// What one input has caused. To wake somebody is nothing here: nobody sleeps.
+#[derive(Default)]
+struct Work {
+    victims: heapless::Vec<PageId, { EVICT_BATCH_MAX as usize }>,
+    /// The answer to the request that was sent.
+    grant: Option<[u8; HEADER_BYTES]>,
+    arrived: Option<PageId>,
+}
+
+/// Polls until the node is idle, as a driver must before its next input.
+fn gather(node: &mut Node<'_>) -> Work {
+    let mut work = Work::default();
     let mut buffer = [0; HEADER_BYTES];
-    // Victims are unmapped when the node is drained, as a driver does.
-    let mut victims = [PageId(0); 32];
-    let (mut victim_count, mut granted, mut mapped) = (0, false, None);
     loop {
         match node.poll(&mut buffer) {
-            Output::Idle(_) => break,
+            Output::Idle(_) => return work,
             Output::Transmit { to, len, .. } => {
                 if let Ok(request) = Message::parse(&buffer[..len]) {
-                    request.grant(to, PAGE_BYTES).emit(&mut buffer);
-                    granted = true;
-                    break;
+                    let mut grant = [0; HEADER_BYTES];
+                    request.grant(to, PAGE_BYTES).emit(&mut grant);
+                    work.grant = Some(grant);
                 }
             }
             Output::Unmap { page, .. } => {
-                victims[victim_count] = page;
-                victim_count += 1;
+                let pushed = work.victims.push(page);
+                debug_assert!(pushed.is_ok(), "a batch is bounded");
             }
-            Output::Map { page, .. } => mapped = Some(page),
+            Output::Map { page, .. } => work.arrived = Some(page),
             Output::Store { .. } | Output::Hide { .. } | Output::WakePage { .. } | Output::WakeSlots => {}
         }
     }
-    for page in &victims[..victim_count] {
-        node.handle_unmapped(now, *page);
-        while !matches!(node.poll(&mut buffer), Output::Idle(_)) {}
+}
+
+/// Nanoseconds of the memory accesses alone that a fault makes at random places, one after the other: the entries of the
+/// page, of a slot, and of the page that leaves it.
+fn memory_ns(pages: u32, faults: u32) -> f64 {
+    let mut table = vec![0u32; pages as usize];
+    let mut slots: Vec<[u32; 3]> = (0..pages / 16).map(|slot| [slot * 16, 0, 0]).collect();
+    let mut numbers = Numbers::new(2004);
+    let nothing = black_box(0);
+    let mut last = 0;
+    let start = Stopwatch::now();
+    for _ in 0..faults {
+        // What was read decides, as far as the compiler knows, where to read next.
+        let page = numbers.below(table.len()) + last;
+        let slot = (numbers.below(slots.len()) + (table[page] & nothing) as usize) % slots.len();
+        let victim = slots[slot][0];
+        slots[slot] = [u32::try_from(page).unwrap_or(0), 1, 2];
+        table[page] = u32::try_from(slot).unwrap_or(0);
+        last = (core::mem::take(&mut table[victim as usize]) & nothing) as usize;
     }
-    if granted && node.handle_message(now, &buffer).is_ok() {
-        drive(node, now);
-    }
-    if let Some(page) = mapped {
-        node.handle_filled(now, page);
-        while !matches!(node.poll(&mut buffer), Output::Idle(_)) {}
-    }
+    black_box(&table);
+    start.elapsed().as_nanos() as f64 / f64::from(faults)
 }

@@ -22,7 +22,7 @@ use crate::control::{BindTo, TransportKind};
 use crate::describe::{describe_histogram, describe_volume};
 use crate::output::{Destination, check_folder_of, write_whole};
 use crate::report::{RunReport, counted, thousands};
-use crate::run::{HIDDEN_PER_CENT, Options, Source, Surface, run};
+use crate::run::{HIDDEN_PER_CENT, Kill, Options, Source, Surface, run};
 use crate::scene_source::{PAGE_BYTES_DEFAULT, Written};
 use crate::size::{Bytes, Memory, PictureSize};
 use crate::trace::{self, Session, Trace};
@@ -86,7 +86,7 @@ struct Output {
     /// Write the run report as JSON
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
-    /// Print nothing but errors
+    /// Print nothing but errors and warnings
     #[arg(short, long)]
     quiet: bool,
 }
@@ -101,6 +101,9 @@ struct Cluster {
     /// Further processes that hold all pages and render nothing; then a node's whole memory is cache
     #[arg(long, value_name = "M", default_value_t = 0)]
     stores: u16,
+    /// Copies of each page, on as many owners: with 2, any owner and any node may die and the picture is the same
+    #[arg(long, value_name = "K", default_value_t = 1)]
+    replicas: u8,
     /// Render threads of each node [default: cores / nodes, at least 1]
     #[arg(long, value_name = "T")]
     threads: Option<NonZeroU16>,
@@ -143,6 +146,9 @@ struct Cluster {
     /// Lose this many of a thousand messages, for tests
     #[arg(long, value_name = "N", default_value_t = 0, hide = true, value_parser = clap::value_parser!(u32).range(0..1000))]
     lose: u32,
+    /// Kill this process once so many tiles of this frame are there, for tests
+    #[arg(long, value_name = "PROCESS@FRAME:TILES", hide = true)]
+    kill: Vec<Kill>,
     /// Makes what is random repeatable
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -334,12 +340,17 @@ impl Render {
             solver: view.solver,
             deadline: cluster.deadline,
             lose_per_mille: cluster.lose,
+            replicas: cluster.replicas,
+            kills: cluster.kill,
             seed: cluster.seed,
             quiet: output.quiet,
             command,
         };
         output.report.as_deref().map_or(Ok(()), check_folder_of)?;
         let report = render(&options, output.output.as_deref())?;
+        for loss in &report.losses {
+            eprintln!("warning: {loss}");
+        }
         if let Some(path) = &output.report {
             write_whole(path, |file| Ok(serde_json::to_writer_pretty(file, &report)?))?;
         }

@@ -19,6 +19,10 @@ pub(crate) enum Order {
     Go,
     /// Draw your tiles of this frame.
     Draw(Frame),
+    /// Draw these tiles of this frame besides: whoever was to draw them is dead.
+    DrawTiles(Frame, Vec<TileId>),
+    /// The process of this number is dead; ask it for nothing.
+    Down(u16),
     /// Report and end.
     Stop,
 }
@@ -32,8 +36,8 @@ pub(crate) enum News {
     Alive,
     /// Some tiles of a frame.
     Tiles(TileBatch),
-    /// All of this process's tiles of a frame are sent.
-    Drawn(Drawn),
+    /// One thread has sent all that it has drawn for one order, of this frame.
+    Drawn(u32),
     /// I have to give up.
     Failed(String),
     /// What I have counted; the last packet.
@@ -68,6 +72,8 @@ pub(crate) struct SetUp {
     /// Messages lost on purpose, in a thousand, and the seed of which.
     pub(crate) lose_per_mille: u32,
     pub(crate) seed: u64,
+    /// Tiles sent at a time at most; fewer than a packet holds for tests that count them.
+    pub(crate) batch_tiles: u16,
 }
 
 /// How pages travel.
@@ -97,15 +103,15 @@ pub(crate) struct Files<T> {
     pub(crate) inboxes: Vec<T>,
 }
 
-/// Tiles of one frame, packed into a packet.
-#[derive(Debug)]
+/// Tiles of one frame, packed into a packet, and what was counted while they were drawn.
+#[derive(Debug, Default)]
 pub(crate) struct TileBatch {
-    frame: u32,
+    drawn: Drawn,
     bytes: Vec<u8>,
 }
 
-/// What one render thread counted in one frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+/// What was counted while tiles of a frame were drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Drawn {
     pub(crate) frame: u32,
     pub(crate) primary_rays: u64,
@@ -121,6 +127,11 @@ impl Order {
             Self::SetUp(set_up) => with_json(b'S', set_up)?,
             Self::Go => vec![b'G'],
             Self::Draw(frame) => [b"D", frame.as_bytes()].concat(),
+            Self::DrawTiles(frame, tiles) => {
+                let tiles: Vec<[u8; 4]> = tiles.iter().map(|tile| tile.0.to_le_bytes()).collect();
+                [b"T", frame.as_bytes(), tiles.as_flattened()].concat()
+            }
+            Self::Down(process) => [&b"N"[..], &process.to_le_bytes()].concat(),
             Self::Stop => vec![b'X'],
         })
     }
@@ -130,6 +141,16 @@ impl Order {
             [b'S', json @ ..] => Ok(Self::SetUp(serde_json::from_slice(json)?)),
             [b'G'] => Ok(Self::Go),
             [b'D', frame @ ..] => Ok(Self::Draw(Frame::read(frame)?)),
+            [b'T', rest @ ..] => {
+                let (frame, tiles) = rest.split_at_checked(size_of::<Frame>()).context("half a frame")?;
+                let (tiles, half) = tiles.as_chunks::<4>();
+                if !half.is_empty() {
+                    bail!("half a tile's number");
+                }
+                let tiles = tiles.iter().map(|tile| TileId(u32::from_le_bytes(*tile)));
+                Ok(Self::DrawTiles(Frame::read(frame)?, tiles.collect()))
+            }
+            [b'N', low, high] => Ok(Self::Down(u16::from_le_bytes([*low, *high]))),
             [b'X'] => Ok(Self::Stop),
             _ => bail!("an order of {} bytes that is none", packet.len()),
         }
@@ -142,7 +163,7 @@ impl News {
             Self::Ready => vec![b'R'],
             Self::Alive => vec![b'A'],
             Self::Tiles(batch) => batch.to_packet(),
-            Self::Drawn(drawn) => with_json(b'D', drawn)?,
+            Self::Drawn(frame) => [&b"D"[..], &frame.to_le_bytes()].concat(),
             Self::Failed(why) => [b"F", why.as_bytes()].concat(),
             Self::Report(report) => with_json(b'P', report)?,
         })
@@ -152,11 +173,8 @@ impl News {
         match packet {
             [b'R'] => Ok(Self::Ready),
             [b'A'] => Ok(Self::Alive),
-            [b'T', f0, f1, f2, f3, tiles @ ..] => Ok(Self::Tiles(TileBatch {
-                frame: u32::from_le_bytes([*f0, *f1, *f2, *f3]),
-                bytes: tiles.to_vec(),
-            })),
-            [b'D', json @ ..] => Ok(Self::Drawn(serde_json::from_slice(json)?)),
+            [b'T', rest @ ..] => Ok(Self::Tiles(TileBatch::from_bytes(rest)?)),
+            [b'D', f0, f1, f2, f3] => Ok(Self::Drawn(u32::from_le_bytes([*f0, *f1, *f2, *f3]))),
             [b'F', why @ ..] => Ok(Self::Failed(String::from_utf8_lossy(why).into_owned())),
             [b'P', json @ ..] => Ok(Self::Report(serde_json::from_slice(json)?)),
             _ => bail!("news of {} bytes that is none", packet.len()),
@@ -187,18 +205,19 @@ impl<T> Files<T> {
 
 impl TileBatch {
     /// An empty batch for a frame.
-    pub(crate) const fn new(frame: u32) -> Self {
-        Self { frame, bytes: Vec::new() }
+    pub(crate) fn new(frame: u32) -> Self {
+        Self { drawn: Drawn { frame, ..Drawn::default() }, bytes: Vec::new() }
     }
 
-    /// Adds a tile, unless the packet would become too large.
-    pub(crate) fn push(&mut self, TileId(id): TileId, pixels: &[u8]) -> bool {
-        const HEADER: usize = 1 + 4;
-        if HEADER + self.bytes.len() + size_of::<u32>() + pixels.len() > PACKET_BYTES_MAX {
+    /// Adds a tile and what was counted for it, unless the packet would become too large.
+    pub(crate) fn push(&mut self, TileId(id): TileId, pixels: &[u8], counts: &TileCounts) -> bool {
+        let header = 1 + Drawn::BYTES;
+        if header + self.bytes.len() + size_of::<u32>() + pixels.len() > PACKET_BYTES_MAX {
             return false;
         }
         self.bytes.extend(id.to_le_bytes());
         self.bytes.extend(pixels);
+        self.drawn.add(counts);
         true
     }
 
@@ -206,12 +225,18 @@ impl TileBatch {
         self.bytes.is_empty()
     }
 
-    pub(crate) const fn frame(&self) -> u32 {
-        self.frame
+    /// What was counted while these tiles were drawn.
+    pub(crate) const fn drawn(&self) -> &Drawn {
+        &self.drawn
     }
 
     fn to_packet(&self) -> Vec<u8> {
-        [&b"T"[..], &self.frame.to_le_bytes(), &self.bytes].concat()
+        [&b"T"[..], &self.drawn.to_bytes(), &self.bytes].concat()
+    }
+
+    fn from_bytes(bytes: &[u8]) -> Result<Self> {
+        let (drawn, tiles) = bytes.split_first_chunk().context("half a batch of tiles")?;
+        Ok(Self { drawn: Drawn::from_bytes(drawn), bytes: tiles.to_vec() })
     }
 
     /// The tiles in it, for a picture cut as `tiles` says.
@@ -240,7 +265,44 @@ fn take_tile(bytes: &[u8], tiles: Tiles) -> Result<(TileId, Tile, &[u8], &[u8])>
 }
 
 impl Drawn {
-    pub(crate) fn add(&mut self, counts: &TileCounts) {
+    /// Length of the counts in a packet.
+    const BYTES: usize = 4 + 5 * 8;
+
+    /// Adds what was counted for other tiles of the frame.
+    pub(crate) const fn merge(&mut self, other: &Self) {
+        self.primary_rays += other.primary_rays;
+        self.hits += other.hits;
+        self.shadow_rays += other.shadow_rays;
+        self.lit += other.lit;
+        self.damaged += other.damaged;
+    }
+
+    fn to_bytes(self) -> [u8; Self::BYTES] {
+        let mut bytes = [0; Self::BYTES];
+        let (frame, counts) = bytes.split_at_mut(4);
+        frame.copy_from_slice(&self.frame.to_le_bytes());
+        let values = [self.primary_rays, self.hits, self.shadow_rays, self.lit, self.damaged];
+        for (place, value) in counts.chunks_exact_mut(8).zip(values) {
+            place.copy_from_slice(&value.to_le_bytes());
+        }
+        bytes
+    }
+
+    fn from_bytes(bytes: &[u8; Self::BYTES]) -> Self {
+        let [f0, f1, f2, f3, counts @ ..] = bytes;
+        let mut counts = counts.as_chunks::<8>().0.iter().map(|count| u64::from_le_bytes(*count));
+        let mut next = || counts.next().unwrap_or_default();
+        Self {
+            frame: u32::from_le_bytes([*f0, *f1, *f2, *f3]),
+            primary_rays: next(),
+            hits: next(),
+            shadow_rays: next(),
+            lit: next(),
+            damaged: next(),
+        }
+    }
+
+    fn add(&mut self, counts: &TileCounts) {
         self.primary_rays += counts.primary;
         self.hits += counts.hits;
         self.shadow_rays += counts.shadow;
@@ -263,15 +325,17 @@ mod tests {
     #[test]
     fn tiles_travel_in_packets_that_fit() {
         let tiles = Tiles::of(3 * TILE_SIZE - 5, 2 * TILE_SIZE - 9);
+        let counts = TileCounts { primary: 1, hits: 2, shadow: 3, lit: 4, damaged: 5, t_sum: 0.0 };
         let mut batch = TileBatch::new(7);
         for id in tiles.ids() {
             let pixels = vec![u8::try_from(id.0).unwrap(); tiles.get(id).unwrap().pixels()];
-            assert!(batch.push(id, &pixels));
+            assert!(batch.push(id, &pixels, &counts));
         }
         let News::Tiles(batch) = News::from_packet(&News::Tiles(batch).to_packet().unwrap()).unwrap() else {
             panic!("tiles became something else");
         };
-        assert_eq!(batch.frame(), 7);
+        let drawn = Drawn { frame: 7, primary_rays: 6, hits: 12, shadow_rays: 18, lit: 24, damaged: 30 };
+        assert_eq!(*batch.drawn(), drawn);
         let found: Vec<_> = batch.tiles(tiles).map(Result::unwrap).collect();
         assert_eq!(found.len(), 6);
         for (id, tile, pixels) in found {
@@ -284,8 +348,9 @@ mod tests {
     fn a_full_batch_takes_no_more() {
         let mut batch = TileBatch::new(0);
         let pixels = [0; 256];
-        let pushed = (0..1000).take_while(|id| batch.push(TileId(*id), &pixels)).count();
-        assert_eq!(pushed, (PACKET_BYTES_MAX - 5) / 260);
+        let pushed =
+            (0..1000).take_while(|id| batch.push(TileId(*id), &pixels, &TileCounts::default())).count();
+        assert_eq!(pushed, (PACKET_BYTES_MAX - 1 - Drawn::BYTES) / 260);
         assert!(News::Tiles(batch).to_packet().unwrap().len() <= PACKET_BYTES_MAX);
     }
 
@@ -293,7 +358,7 @@ mod tests {
     fn half_a_tile_and_a_tile_of_another_picture_are_errors() {
         let tiles = Tiles::of(TILE_SIZE, TILE_SIZE);
         for bytes in [&[0, 0, 0][..], &[0, 0, 0, 0, 1, 2], &[9, 0, 0, 0]] {
-            let batch = TileBatch { frame: 0, bytes: bytes.to_vec() };
+            let batch = TileBatch { drawn: Drawn::default(), bytes: bytes.to_vec() };
             assert!(batch.tiles(tiles).next().unwrap().is_err());
             assert_eq!(batch.tiles(tiles).count(), 1);
         }
@@ -301,7 +366,7 @@ mod tests {
 
     #[test]
     fn packets_that_are_none_are_errors() {
-        for packet in [&b""[..], b"Z", b"S{", b"Dxx", b"GG"] {
+        for packet in [&b""[..], b"Z", b"S{", b"Dxx", b"GG", b"Txx", b"N", b"N123"] {
             assert!(Order::from_packet(packet).is_err());
         }
         for packet in [&b""[..], b"T12", b"P[]", b"RR"] {

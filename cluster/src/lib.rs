@@ -9,6 +9,8 @@
 //! | [`plan`] | from what was asked for to what each process may hold; pure arithmetic |
 //! | [`run`] | a whole run: plan, start, frames, report |
 //! | `supervisor` | starts processes, watches them, gathers tiles, ends them |
+//! | `canvas` | a frame that is being put together from tiles |
+//! | `loss` | processes that die while the others go on |
 //! | `control`, `link` | what supervisor and nodes say to each other, and the socket it goes over |
 //! | `node`, `painter`, `noted`, `ports` | a process of the cluster: its pages, its render threads and what they use, its ways to the others |
 //! | `scene_source` | where the scene comes from: a mesh, a volume, an image, a built-in scene |
@@ -30,11 +32,13 @@
 //! Nothing of this has a name outside the processes: memory files and sockets vanish with the last of them, however
 //! they end.
 
+mod canvas;
 pub mod command_line;
 mod control;
 mod describe;
 mod isovalue;
 mod link;
+mod loss;
 mod node;
 pub mod noted;
 mod output;

@@ -108,7 +108,7 @@ impl Process {
         Ok(process)
     }
 
-    /// Copies this node's own stripes from the image, through a small buffer.
+    /// Copies this node's own stripes, home and replicas, from the image, through a small buffer.
     fn fill_home(&self) -> Result<()> {
         let Some((pages, _)) = self.routes.own() else { return Ok(()) };
         if self.is_replicated() {
@@ -118,7 +118,7 @@ impl Process {
         let page_bytes = u64::from(self.set_up.page_bytes);
         let mut buffer = vec![0; 1 << 20];
         let mut to = 0;
-        for stripe in self.placement.stripes_of(self.me()) {
+        for stripe in self.placement.held_stripes_of(self.me()) {
             let (start, end) = (u64::from(stripe.start) * page_bytes, u64::from(stripe.end) * page_bytes);
             copy(&image, start..end.min(self.set_up.image_bytes), pages.file(), to, &mut buffer)?;
             to += end - start;
@@ -137,7 +137,13 @@ impl Process {
         let crew = self.start()?;
         loop {
             match self.next_order()? {
-                Some(Order::Draw(frame)) => crew.draw(self.job(frame)),
+                Some(Order::Draw(frame)) => crew.begin(self.job(frame)),
+                Some(Order::DrawTiles(frame, tiles)) => {
+                    crew.draw(Job::new(frame, Tiles::of(frame.width, frame.height), tiles));
+                }
+                Some(Order::Down(process)) => {
+                    crew.region.iter().for_each(|region| region.handle_peer_down(NodeId(process)));
+                }
                 Some(Order::Stop) => break,
                 Some(Order::SetUp(_) | Order::Go) => bail!("a second plan, or a second start"),
                 // The supervisor is gone. So is the reason to be here.
@@ -172,6 +178,7 @@ impl Process {
                 jobs,
                 image_bytes: self.set_up.image_bytes,
                 kernel,
+                batch_tiles: self.set_up.batch_tiles,
             };
             let link = self.link.clone();
             let name = format!("render {thread}");
@@ -221,7 +228,7 @@ impl Process {
             ..Config::new(self.me(), self.placement, page_bytes)
         };
         let home = match self.routes.own() {
-            Some((pages, _)) if self.home_pages() > 0 => Some(pages.as_fd().try_clone_to_owned()?),
+            Some((pages, _)) if self.own_pages() > 0 => Some(pages.as_fd().try_clone_to_owned()?),
             _ => None,
         };
         let policy: PolicyKind = self.set_up.policy.parse()?;
@@ -275,7 +282,7 @@ impl Process {
             role: if self.renders() { "node" } else { "store" }.to_owned(),
             threads: if self.renders() { self.set_up.threads } else { 0 },
             budget_bytes: if self.renders() { self.set_up.budget_bytes } else { self.held_bytes_max(0) },
-            home_pages: self.home_pages(),
+            home_pages: self.own_pages(),
             slots,
             slots_withheld: choice.map_or(0, |choice| choice.slots_withheld),
             held_bytes_max: self.held_bytes_max(slots),
@@ -307,7 +314,7 @@ impl Process {
         if self.is_replicated() {
             return if self.renders() { self.set_up.image_bytes } else { 0 };
         }
-        let pages = u64::from(self.home_pages()) + u64::from(slots);
+        let pages = u64::from(self.own_pages()) + u64::from(slots);
         let tables = if self.renders() {
             crate::plan::bookkeeping_bytes(self.placement.page_count(), slots)
         } else {
@@ -324,8 +331,9 @@ impl Process {
         self.set_up.node < self.set_up.nodes
     }
 
-    fn home_pages(&self) -> u32 {
-        if self.is_replicated() { 0 } else { self.placement.home_pages(self.me()) }
+    /// Pages that lie in this process's own file: it is their home, or holds a replica.
+    fn own_pages(&self) -> u32 {
+        if self.is_replicated() { 0 } else { self.placement.held_pages(self.me()) }
     }
 
     fn is_replicated(&self) -> bool {
@@ -334,10 +342,15 @@ impl Process {
 }
 
 impl Crew {
-    fn draw(&self, job: Job) {
+    /// Draws a new frame.
+    fn begin(&self, job: Job) {
         if let Some(region) = &self.region {
             region.begin_frame(&job.order());
         }
+        self.draw(job);
+    }
+
+    fn draw(&self, job: Job) {
         let job = Arc::new(job);
         for hand in &self.painters {
             // A thread that has ended has said why, and the supervisor will end this process.

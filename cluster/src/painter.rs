@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use fault_linux::{Attached, BackendKind, Record, Region, ThreadStats};
 use rt_core::{Flat, Frame, Kernel, SceneMemory, SceneView, TILE_SIZE, TileId, Tiles, render_tile};
 
-use crate::control::{Drawn, News, TileBatch};
+use crate::control::{News, TileBatch};
 use crate::link::Link;
 use crate::noted::{Noted, Notes};
 use crate::ports::Port;
@@ -31,6 +31,8 @@ pub(crate) struct Painter {
     pub(crate) jobs: Receiver<Arc<Job>>,
     pub(crate) image_bytes: u64,
     pub(crate) kernel: Kernel,
+    /// Tiles sent at a time at most.
+    pub(crate) batch_tiles: u16,
 }
 
 /// A scene of which every access goes through a table: the `soft` backend.
@@ -58,10 +60,11 @@ impl Job {
 impl Painter {
     /// Draws job after job until there are no more, or a page cannot be had.
     pub(crate) fn run(self) -> Result<ThreadStats> {
-        let Self { region, port, link, jobs, image_bytes, kernel } = self;
+        let Self { region, port, link, jobs, image_bytes, kernel, batch_tiles } = self;
         let attached = region.attach(port)?;
         let notes = Notes::new(u32::try_from(region.page_bytes())?, image_bytes);
-        let canvas = Canvas { attached: &attached, notes: &notes, link: &link, jobs: &jobs, kernel };
+        let canvas =
+            Canvas { attached: &attached, notes: &notes, link: &link, jobs: &jobs, kernel, batch_tiles };
         if region.choice().used == BackendKind::Soft {
             canvas.draw_all(Noted::new(Slotted { attached: &attached, length: image_bytes }, &notes))?;
         } else {
@@ -81,6 +84,7 @@ struct Canvas<'a> {
     link: &'a Link,
     jobs: &'a Receiver<Arc<Job>>,
     kernel: Kernel,
+    batch_tiles: u16,
 }
 
 impl Canvas<'_> {
@@ -96,22 +100,24 @@ impl Canvas<'_> {
     }
 
     fn draw<M: SceneMemory>(&self, scene: &SceneView<M>, job: &Job) -> Result<()> {
-        let mut drawn = Drawn { frame: job.frame.number, ..Drawn::default() };
-        let mut batch = TileBatch::new(job.frame.number);
+        let frame = job.frame.number;
+        let (mut batch, mut batched) = (TileBatch::new(frame), 0);
         let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
         while let Some(id) = job.take() {
             let Some(tile) = job.tiles.get(id) else { continue };
             let pixels = &mut pixels[..tile.pixels()];
             self.attached.begin_tile(id.0);
-            drawn.add(&render_tile(scene, &job.frame, tile, self.kernel, pixels, &mut ()));
+            let counts = render_tile(scene, &job.frame, tile, self.kernel, pixels, &mut ());
             self.notes.take(|pages| self.attached.end_tile(id.0, pages));
-            if !batch.push(id, pixels) {
-                self.send(core::mem::replace(&mut batch, TileBatch::new(job.frame.number)))?;
-                batch.push(id, pixels);
+            if batched == self.batch_tiles || !batch.push(id, pixels, &counts) {
+                self.send(core::mem::replace(&mut batch, TileBatch::new(frame)))?;
+                batch.push(id, pixels, &counts);
+                batched = 0;
             }
+            batched += 1;
         }
         self.send(batch)?;
-        self.link.send(&News::Drawn(drawn).to_packet()?)?;
+        self.link.send(&News::Drawn(frame).to_packet()?)?;
         Ok(())
     }
 

@@ -24,6 +24,8 @@ pub struct Demand {
     pub page_bytes: u32,
     /// Every node holds the whole image.
     pub replicated: bool,
+    /// Copies of each page, on as many owners.
+    pub replicas: u8,
 }
 
 /// Who holds what.
@@ -50,22 +52,25 @@ pub struct PlacementNumbers {
     stripe_pages: u32,
     first_owner: u16,
     owner_count: u16,
+    replicas: u8,
 }
 
 /// Why a demand cannot be met. Says what to change.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum PlanError {
-    /// A node may hold less than the pages it is home to.
+    /// A node may hold less than its home pages and replicas.
     BelowHomeShare {
         /// What a node may hold.
         budget_bytes: u64,
-        /// What its home pages take.
+        /// What its home pages and replicas take.
         home_bytes: u64,
         /// The whole image.
         image_bytes: u64,
         /// Nodes among which the image is dealt.
         nodes: u16,
+        /// Copies of each page.
+        replicas: u8,
     },
     /// A node may hold its home pages and not one page besides.
     NoSlot {
@@ -121,6 +126,7 @@ impl Plan {
             u32::try_from(page_count).map_err(|_| PlanError::Placement(PlacementError::TooManyPages))?;
         let stripe_pages = stripe_pages(page_count, owners);
         let placement = Stripes::new(page_count, stripe_pages, NodeId(first_owner), owners)
+            .and_then(|stripes| stripes.with_replicas(demand.replicas))
             .map_err(PlanError::Placement)?;
         let unfilled = Self { placement, nodes, stores, page_bytes, budget_bytes: 0, slots: 0 };
         if demand.replicated { unfilled.replicated(demand) } else { unfilled.paged(demand) }
@@ -136,14 +142,14 @@ impl Plan {
     }
 
     fn paged(self, demand: &Demand) -> Result<Self, PlanError> {
-        let home_bytes = self.home_bytes_max();
+        let home_bytes = self.own_bytes_max();
         // Shares are of whole pages: half a page cannot be held.
         let image_bytes = u64::from(self.placement.page_count()) * u64::from(self.page_bytes);
         let per_slot = u64::from(self.page_bytes) + PER_SLOT_BYTES;
         let extra = Memory::Share(EXTRA_SHARE).of(image_bytes).max(EXTRA_SLOTS_MIN * per_slot);
         let unsaid = extra + home_bytes + self.bookkeeping_bytes(0);
         let budget_bytes = demand.memory.map_or(unsaid, |memory| memory.of(image_bytes));
-        let others = self.placement.page_count() - self.smallest_home();
+        let others = self.placement.page_count() - self.fewest_own();
         if others == 0 {
             return Ok(Self { budget_bytes: budget_bytes.max(home_bytes), ..self });
         }
@@ -153,6 +159,7 @@ impl Plan {
             home_bytes,
             image_bytes,
             nodes: self.nodes,
+            replicas: self.placement.replicas(),
         })?;
         let slots = rest.saturating_sub(self.bookkeeping_bytes(0)) / per_slot;
         // All of the image is there: what the tables need on top of 100 % is not held against it.
@@ -169,10 +176,10 @@ impl Plan {
         bookkeeping_bytes(self.placement.page_count(), slots)
     }
 
-    /// Home pages of a process.
+    /// Pages that lie in a process's own memory: it is their home, or holds a replica.
     #[must_use]
-    pub fn home_pages(&self, node: NodeId) -> u32 {
-        self.placement.home_pages(node)
+    pub fn own_pages(&self, node: NodeId) -> u32 {
+        self.placement.held_pages(node)
     }
 
     /// The numbers to send to a process.
@@ -185,18 +192,19 @@ impl Plan {
             stripe_pages: self.placement.stripe_pages(),
             first_owner,
             owner_count,
+            replicas: self.placement.replicas(),
         }
     }
 
-    /// Home bytes of the rendering node that has most.
-    fn home_bytes_max(&self) -> u64 {
-        let pages = if self.stores > 0 { 0 } else { self.placement.home_pages_max() };
+    /// Bytes of its own of the rendering node that has most.
+    fn own_bytes_max(&self) -> u64 {
+        let pages = if self.stores > 0 { 0 } else { self.placement.held_pages_max() };
         u64::from(pages) * u64::from(self.page_bytes)
     }
 
-    /// Home pages of the rendering node that has fewest.
-    fn smallest_home(&self) -> u32 {
-        (0..self.nodes).map(|node| self.home_pages(NodeId(node))).min().unwrap_or(0)
+    /// Pages of its own of the rendering node that has fewest.
+    fn fewest_own(&self) -> u32 {
+        (0..self.nodes).map(|node| self.own_pages(NodeId(node))).min().unwrap_or(0)
     }
 }
 
@@ -206,7 +214,8 @@ impl PlacementNumbers {
     /// # Errors
     /// The numbers were not made by a [`Plan`].
     pub fn placement(&self) -> Result<Stripes, PlacementError> {
-        Stripes::new(self.page_count, self.stripe_pages, NodeId(self.first_owner), self.owner_count)
+        Stripes::new(self.page_count, self.stripe_pages, NodeId(self.first_owner), self.owner_count)?
+            .with_replicas(self.replicas)
     }
 }
 
@@ -234,15 +243,17 @@ impl fmt::Display for PlanError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let percent = |part: u64, whole: u64| 100.0 * part as f64 / whole.max(1) as f64;
         match self {
-            Self::BelowHomeShare { budget_bytes, home_bytes, image_bytes, nodes } => write!(
+            Self::BelowHomeShare { budget_bytes, home_bytes, image_bytes, nodes, replicas } => write!(
                 f,
-                "--memory allows a node {} ({:.1} % of the image's {}), and its home pages alone, dealt to {nodes} nodes, \
-                 take {} ({:.1} %); allow more, use more --nodes, or let others hold the pages with --stores M",
+                "--memory allows a node {} ({:.1} % of the image's {}), and its home pages{} alone, dealt to {nodes} nodes, \
+                 take {} ({:.1} %); allow more, use more --nodes{}, or let others hold the pages with --stores M",
                 Bytes(*budget_bytes),
                 percent(*budget_bytes, *image_bytes),
                 Bytes(*image_bytes),
+                if *replicas > 1 { " and replicas" } else { "" },
                 Bytes(*home_bytes),
                 percent(*home_bytes, *image_bytes),
+                if *replicas > 1 { ", fewer --replicas" } else { "" },
             ),
             Self::NoSlot { budget_bytes, needed_bytes } => write!(
                 f,
@@ -282,6 +293,7 @@ mod tests {
             image_bytes: 64 * MEGABYTE,
             page_bytes: 16384,
             replicated: false,
+            replicas: 1,
         }
     }
 
@@ -289,7 +301,7 @@ mod tests {
     fn forty_percent_are_a_quarter_at_home_and_the_rest_in_slots() {
         let plan = Plan::new(&demand()).unwrap();
         assert_eq!(plan.placement.page_count(), 4096);
-        assert_eq!(plan.home_pages(NodeId(0)), 1024);
+        assert_eq!(plan.own_pages(NodeId(0)), 1024);
         // 15 % of 4096 pages, less what the tables take.
         assert!((600..=614).contains(&plan.slots), "{}", plan.slots);
         let held = u64::from(1024 + plan.slots) * 16384 + plan.bookkeeping_bytes(plan.slots);
@@ -302,7 +314,7 @@ mod tests {
         let unsaid = Plan::new(&Demand { memory: None, ..demand() }).unwrap();
         assert!(unsaid.slots >= said.slots && unsaid.slots <= said.slots + 4);
         let alone = Plan::new(&Demand { nodes: 1, memory: None, ..demand() }).unwrap();
-        assert_eq!((alone.slots, alone.home_pages(NodeId(0))), (0, 4096));
+        assert_eq!((alone.slots, alone.own_pages(NodeId(0))), (0, 4096));
     }
 
     #[test]
@@ -315,11 +327,27 @@ mod tests {
     }
 
     #[test]
+    fn replicas_count_as_memory_and_too_little_for_them_is_refused_with_the_way_out() {
+        let twice = Demand { replicas: 2, ..demand() };
+        let error = Plan::new(&twice).unwrap_err().to_string();
+        for words in ["and replicas", "32 MB", "50.0 %", "fewer --replicas"] {
+            assert!(error.contains(words), "{words:?} is not in {error:?}");
+        }
+        let plan = Plan::new(&Demand { memory: Some(Memory::Share(0.6)), ..twice }).unwrap();
+        assert_eq!(plan.own_pages(NodeId(0)), 2048);
+        let held = u64::from(2048 + plan.slots) * 16384 + plan.bookkeeping_bytes(plan.slots);
+        assert!(plan.slots > 390 && held <= plan.budget_bytes, "{} slots", plan.slots);
+        assert_eq!(plan.placement_numbers().placement().unwrap(), plan.placement);
+        let error = Plan::new(&Demand { stores: 1, ..twice }).unwrap_err();
+        assert!(matches!(error, PlanError::Placement(PlacementError::Replicas { got: 2, owners: 1 })));
+    }
+
+    #[test]
     fn with_stores_the_whole_budget_is_slots() {
         let demand = Demand { stores: 2, memory: Some(Memory::Share(0.16)), ..demand() };
         let plan = Plan::new(&demand).unwrap();
-        assert_eq!(plan.home_pages(NodeId(0)), 0);
-        assert_eq!(plan.home_pages(NodeId(4)) + plan.home_pages(NodeId(5)), 4096);
+        assert_eq!(plan.own_pages(NodeId(0)), 0);
+        assert_eq!(plan.own_pages(NodeId(4)) + plan.own_pages(NodeId(5)), 4096);
         assert!((640..=655).contains(&plan.slots), "{}", plan.slots);
     }
 

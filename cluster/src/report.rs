@@ -4,6 +4,7 @@ use core::fmt::{self, Display, Write as _};
 
 use serde::{Deserialize, Serialize};
 
+use crate::loss::Loss;
 use crate::size::Bytes;
 
 /// Everything a run has to tell; the shape of `run.json`.
@@ -19,8 +20,14 @@ pub struct RunReport {
     pub transport: String,
     /// One entry for each frame, in order.
     pub frames: Vec<FrameReport>,
-    /// One entry for each process, in order of its number.
+    /// One entry for each process that saw the end, in order of its number.
     pub nodes: Vec<ProcessReport>,
+    /// Copies of each page.
+    #[serde(default = "one")]
+    pub replicas: u8,
+    /// Processes that died while the others went on; they are missing among `nodes`.
+    #[serde(default)]
+    pub losses: Vec<Loss>,
     /// Sums over the run.
     pub totals: Totals,
 }
@@ -84,9 +91,9 @@ pub struct ProcessReport {
     pub role: String,
     /// Threads that render.
     pub threads: u16,
-    /// What it may hold: home pages, slots and the tables for both.
+    /// What it may hold: pages of its own, slots and the tables for both.
     pub budget_bytes: u64,
-    /// Pages it is home to.
+    /// Pages of its own: those it is home to, and replicas.
     pub home_pages: u32,
     /// Pages of others it can hold at once.
     pub slots: u32,
@@ -250,6 +257,9 @@ impl Display for RunReport {
                 thousands(withheld.into())
             )?;
         }
+        for loss in &self.losses {
+            write!(f, "\nwarning: {loss}")?;
+        }
         let damaged: u64 = self.frames.iter().map(|frame| frame.damaged_pixels).sum();
         if damaged > 0 {
             write!(
@@ -260,6 +270,11 @@ impl Display for RunReport {
         }
         Ok(())
     }
+}
+
+/// The copies of each page in a report that does not say.
+const fn one() -> u8 {
+    1
 }
 
 /// One row for each process, its columns as wide as they need to be.

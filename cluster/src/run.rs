@@ -16,6 +16,7 @@ use transport_shm::{Inbox, Layout, PageFile};
 
 pub use crate::control::{BindTo, TransportKind};
 pub use crate::isovalue::{Isovalue, Surface};
+pub use crate::loss::{Kill, Loss};
 pub use crate::picture::Picture;
 pub use crate::scene_source::{Source, VolumeInput};
 
@@ -75,6 +76,10 @@ pub struct Options {
     pub deadline: Duration,
     /// Messages that are lost on purpose, in a thousand.
     pub lose_per_mille: u32,
+    /// Copies of each page, on as many owners. With two or more, processes may die and the others go on.
+    pub replicas: u8,
+    /// Processes that are killed on purpose.
+    pub kills: Vec<Kill>,
     /// Makes everything that is random repeatable.
     pub seed: u64,
     /// No progress bars.
@@ -109,6 +114,8 @@ impl Default for Options {
             solver: Solver::default(),
             deadline: Duration::from_secs(5),
             lose_per_mille: 0,
+            replicas: 1,
+            kills: Vec::new(),
             seed: 1,
             quiet: false,
             command: Vec::new(),
@@ -132,7 +139,8 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<
     let isosurfaces = isovalue::resolve(&options.isosurfaces, &options.source, &image)?;
     let notes = image.notes.iter().map(ToString::to_string).collect();
     let files = run.files(image)?;
-    let mut supervisor = Supervisor::start(&run.set_ups(options), &files, options.deadline)?;
+    let mut supervisor =
+        Supervisor::start(&run.set_ups(options), &files, options.deadline, options.kills.clone())?;
     supervisor.wait_until_ready()?;
     // Each process has its own part now; nobody holds the whole.
     drop(files);
@@ -147,7 +155,7 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<
         bar.advance();
     }
     drop(bar);
-    let nodes = supervisor.finish()?;
+    let (nodes, losses) = supervisor.finish()?;
     Ok(RunReport {
         command: options.command.clone(),
         scene: run.scene_report(name, &header, &isosurfaces, notes),
@@ -156,6 +164,8 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<
         totals: Totals::of(&frames, &nodes),
         frames,
         nodes,
+        replicas: options.replicas,
+        losses,
     })
 }
 
@@ -177,6 +187,7 @@ impl Run {
             image_bytes,
             page_bytes: options.page_bytes.unwrap_or(image.header.page_bytes),
             replicated: options.is_replicated(),
+            replicas: options.replicas,
         };
         let plan = Plan::new(&demand)?;
         let threads = options.threads.map_or_else(|| cores().div_ceil(plan.nodes), NonZeroU16::get);
@@ -187,8 +198,8 @@ impl Run {
     fn files(&self, image: Image) -> Result<Files<OwnedFd>> {
         let placement = &self.plan.placement;
         let pages = placement.owner_ids().map(|owner| {
-            let bytes = u64::from(self.plan.home_pages(owner)) * u64::from(self.plan.page_bytes);
-            Ok(PageFile::create(bytes).context("cannot get memory for home pages")?.into())
+            let bytes = u64::from(self.plan.own_pages(owner)) * u64::from(self.plan.page_bytes);
+            Ok(PageFile::create(bytes).context("cannot get memory for the owners' pages")?.into())
         });
         // At most 64 nodes of 256 threads.
         let layout = Layout::new(self.plan.page_bytes, self.plan.nodes * self.threads.min(THREADS_MAX))?;
@@ -230,6 +241,7 @@ impl Run {
             deadline_us: u64::try_from(options.deadline.as_micros()).unwrap_or(u64::MAX),
             lose_per_mille: options.lose_per_mille,
             seed: options.seed,
+            batch_tiles: if options.kills.is_empty() { u16::MAX } else { BATCH_TILES_COUNTED },
         };
         (0..processes).map(set_up).collect()
     }
@@ -288,6 +300,11 @@ impl Options {
         if self.deadline.is_zero() {
             bail!("--deadline 0 leaves no time for anything");
         }
+        if self.is_replicated() && self.replicas > 1 {
+            bail!(
+                "--replicas are copies of pages that are dealt; with --backend replicated every node holds them all"
+            );
+        }
         if self.is_replicated() && self.stores > 0 {
             bail!(
                 "--stores hold pages for nodes that do not; with --backend replicated every node holds them all"
@@ -326,6 +343,9 @@ impl Drawing {
 
 /// Slots that hold hidden pages, in per cent: more of them bring little and cost many soft faults.
 pub(crate) const HIDDEN_PER_CENT: u32 = 25;
+
+/// Tiles sent at a time where a process is to be killed after so many.
+const BATCH_TILES_COUNTED: u16 = 2;
 
 /// Threads that one region can serve.
 const THREADS_MAX: u16 = 256;

@@ -1,27 +1,39 @@
 //! Starts the processes of a run, watches them, gathers their tiles, and ends them, however the run ends.
 
 use core::time::Duration;
+use std::io::ErrorKind;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Instant;
 
 use anyhow::{Context, Error, Result, anyhow, bail};
-use rt_core::{Frame, Tiles};
+use dsm_core::id::NodeId;
+use dsm_core::placement::Stripes;
+use rt_core::{Frame, TileId};
 
-use crate::control::{Drawn, Files, News, Order, SetUp, TileBatch};
-use crate::link::{Link, wait_for_any};
+use crate::canvas::Canvas;
+use crate::control::{Drawn, Files, News, Order, SetUp};
+use crate::link::{Link, PACKET_BYTES_MAX, wait_for_any};
+use crate::loss::{Kill, Loss, is_all_there};
 use crate::node::NODE_COMMAND;
 use crate::picture::Picture;
 use crate::report::ProcessReport;
-use crate::size::PictureSize;
 
 /// The processes of a run. Dropping it ends them all.
 #[derive(Debug)]
 pub(crate) struct Supervisor {
+    /// The nodes, which render, then the stores.
     processes: Vec<Process>,
-    /// Render threads over all nodes; each says when it has drawn a frame.
-    painters: usize,
+    nodes: usize,
+    /// Render threads of each node; each says when it has drawn its part of an order.
+    threads: u32,
+    placement: Stripes,
+    /// From now on a process may die, if no page and not the last node goes with it.
+    is_running: bool,
+    losses: Vec<Loss>,
+    /// Processes to be killed on purpose.
+    kills: Vec<Kill>,
     /// A process that says nothing for this long is given up.
     deadline: Duration,
     /// What the run is busy with, for messages about its end.
@@ -35,7 +47,17 @@ struct Process {
     child: Child,
     link: Link,
     last_heard: Instant,
+    /// It has reported, or is dead.
     is_done: bool,
+    is_dead: bool,
+    /// Why we have killed it.
+    given_up: Option<String>,
+}
+
+/// What a process has said, or that it is dead and the others go on.
+enum Event {
+    News(News),
+    Death,
 }
 
 /// A frame that is whole.
@@ -46,27 +68,28 @@ pub(crate) struct Drawing {
     pub(crate) ms: f64,
 }
 
-/// A frame that is being put together.
-struct Canvas {
-    frame: Frame,
-    tiles: Tiles,
-    picture: Picture,
-    missing: usize,
-    is_there: Vec<bool>,
-    counts: Drawn,
-    painters_done: usize,
-}
-
 /// How long one look at the links takes at most, so that a silent process is noticed soon.
 const LOOK_MS: u32 = 50;
 
+/// Numbers of tiles that one packet can carry, beside the frame.
+const TILES_IN_PACKET_MAX: usize = (PACKET_BYTES_MAX - 1 - size_of::<Frame>()) / size_of::<u32>();
+
 impl Supervisor {
     /// Starts a process for each plan and gives it its files.
-    pub(crate) fn start(plans: &[SetUp], files: &Files<OwnedFd>, deadline: Duration) -> Result<Self> {
-        let renders = |plan: &&SetUp| plan.node < plan.nodes;
-        let painters = plans.iter().filter(renders).map(|plan| usize::from(plan.threads)).sum();
+    pub(crate) fn start(
+        plans: &[SetUp],
+        files: &Files<OwnedFd>,
+        deadline: Duration,
+        kills: Vec<Kill>,
+    ) -> Result<Self> {
+        let first = plans.first().context("a cluster of no process")?;
+        let (nodes, threads) = (first.nodes.into(), first.threads.into());
+        let placement = first.placement.placement()?;
         let doing = "the cluster was started".to_owned();
-        let mut supervisor = Self { processes: Vec::new(), painters, deadline, doing };
+        let (processes, losses) = (Vec::new(), Vec::new());
+        let is_running = false;
+        let mut supervisor =
+            Self { processes, nodes, threads, placement, is_running, losses, kills, deadline, doing };
         for plan in plans {
             let process = Process::start(plan).with_context(|| format!("cannot start {}", name_of(plan)))?;
             supervisor.processes.push(process);
@@ -74,7 +97,7 @@ impl Supervisor {
         let list: Vec<BorrowedFd<'_>> = files.iter().map(AsFd::as_fd).collect();
         for (index, plan) in plans.iter().enumerate() {
             let packet = Order::SetUp(Box::new(plan.clone())).to_packet()?;
-            supervisor.send(index, &packet, &list)?;
+            supervisor.processes[index].send(&packet, &list)?;
         }
         Ok(supervisor)
     }
@@ -84,13 +107,14 @@ impl Supervisor {
         "the home pages were filled".clone_into(&mut self.doing);
         let mut ready = vec![false; self.processes.len()];
         while ready.contains(&false) {
-            for (index, news) in self.listen()? {
-                match news {
-                    News::Ready => ready[index] = true,
+            for (index, event) in self.listen()? {
+                match event {
+                    Event::News(News::Ready) => ready[index] = true,
                     other => self.reject(index, &other)?,
                 }
             }
         }
+        self.is_running = true;
         self.tell_all(&Order::Go)
     }
 
@@ -98,48 +122,103 @@ impl Supervisor {
     pub(crate) fn draw(&mut self, frame: Frame) -> Result<Drawing> {
         self.doing = format!("frame {} was drawn", frame.number);
         let start = Instant::now();
-        self.tell_all(&Order::Draw(frame))?;
-        let mut canvas = Canvas::new(frame);
-        while canvas.missing > 0 || canvas.painters_done < self.painters {
-            for (index, news) in self.listen()? {
-                match news {
-                    News::Tiles(batch) => {
-                        let context = || format!("{} sent", self.processes[index].name);
-                        canvas.put(&batch).with_context(context)?;
-                    }
-                    News::Drawn(drawn) => canvas.count(&drawn),
-                    other => self.reject(index, &other)?,
+        let mut canvas = Canvas::new(frame, self.nodes);
+        for index in self.living_nodes() {
+            self.give(index, &Order::Draw(frame), &mut canvas)?;
+        }
+        // What nodes would have drawn that died in earlier frames.
+        self.deal_again(&mut canvas)?;
+        self.kill_as_asked(&canvas);
+        while !canvas.is_whole() {
+            for (index, event) in self.listen()? {
+                let context = || format!("{} sent", self.processes[index].name);
+                match event {
+                    Event::News(News::Tiles(batch)) => canvas.put(&batch).with_context(context)?,
+                    Event::News(News::Drawn(frame)) => canvas.settle(index, frame).with_context(context)?,
+                    Event::Death => self.go_on_without(index, &mut canvas)?,
+                    other @ Event::News(_) => self.reject(index, &other)?,
                 }
+                self.kill_as_asked(&canvas);
             }
         }
         let ms = start.elapsed().as_secs_f64() * 1000.0;
-        Ok(Drawing { picture: canvas.picture, counts: canvas.counts, ms })
+        let (picture, counts) = canvas.into_parts();
+        Ok(Drawing { picture, counts, ms })
     }
 
-    /// Has every process report, and sees each one end.
-    pub(crate) fn finish(mut self) -> Result<Vec<ProcessReport>> {
+    /// Has every process report, and sees each one end. Tells of those that did not live to do so.
+    pub(crate) fn finish(mut self) -> Result<(Vec<ProcessReport>, Vec<Loss>)> {
         "the cluster ended".clone_into(&mut self.doing);
         self.tell_all(&Order::Stop)?;
         let mut reports: Vec<Option<ProcessReport>> = self.processes.iter().map(|_| None).collect();
-        while reports.iter().any(Option::is_none) {
-            for (index, news) in self.listen()? {
-                match news {
-                    News::Report(report) => {
+        while self.processes.iter().any(|process| !process.is_done) {
+            for (index, event) in self.listen()? {
+                match event {
+                    Event::News(News::Report(report)) => {
                         reports[index] = Some(*report);
                         self.processes[index].is_done = true;
                     }
-                    other => self.reject(index, &other)?,
+                    Event::Death => {}
+                    other @ Event::News(_) => self.reject(index, &other)?,
                 }
             }
         }
-        for process in &mut self.processes {
+        for process in self.processes.iter_mut().filter(|process| !process.is_dead) {
             process.see_end(self.deadline)?;
         }
-        Ok(reports.into_iter().flatten().collect())
+        Ok((reports.into_iter().flatten().collect(), core::mem::take(&mut self.losses)))
+    }
+
+    /// Has the living nodes draw what a node that has just died still owed.
+    fn go_on_without(&mut self, index: usize, canvas: &mut Canvas) -> Result<()> {
+        canvas.forgive(index);
+        let dealt_again = self.deal_again(canvas)?;
+        if let Some(loss) = self.losses.last_mut() {
+            loss.tiles_dealt_again = dealt_again;
+        }
+        Ok(())
+    }
+
+    /// Deals the missing tiles of dead nodes to the living; tells how many there were.
+    fn deal_again(&mut self, canvas: &mut Canvas) -> Result<usize> {
+        let living = self.living_nodes();
+        let missing = canvas.missing_of(|node| self.processes[node].is_dead);
+        for (turn, node) in living.iter().enumerate() {
+            let tiles: Vec<TileId> = missing.iter().skip(turn).step_by(living.len()).copied().collect();
+            canvas.deal(&tiles, *node);
+            for tiles in tiles.chunks(TILES_IN_PACKET_MAX) {
+                self.give(*node, &Order::DrawTiles(canvas.frame(), tiles.to_vec()), canvas)?;
+            }
+        }
+        Ok(missing.len())
+    }
+
+    /// Gives a node something to draw, of which each of its threads says when it is done.
+    fn give(&self, index: usize, order: &Order, canvas: &mut Canvas) -> Result<()> {
+        canvas.owe(index, self.threads);
+        self.processes[index].send(&order.to_packet()?, &[])
+    }
+
+    fn living_nodes(&self) -> Vec<usize> {
+        (0..self.nodes).filter(|index| !self.processes[*index].is_dead).collect()
+    }
+
+    /// Kills the processes whose time has come.
+    fn kill_as_asked(&mut self, canvas: &Canvas) {
+        let is_due = |kill: &Kill| kill.frame == canvas.frame().number && canvas.present() >= kill.tiles;
+        let processes = &mut self.processes;
+        self.kills.retain(|kill| {
+            if is_due(kill)
+                && let Some(process) = processes.get_mut(usize::from(kill.process))
+            {
+                let _ = process.child.kill();
+            }
+            !is_due(kill)
+        });
     }
 
     /// What processes have to say, waiting a little for the first; and whether all are well.
-    fn listen(&mut self) -> Result<Vec<(usize, News)>> {
+    fn listen(&mut self) -> Result<Vec<(usize, Event)>> {
         let open: Vec<usize> =
             (0..self.processes.len()).filter(|index| !self.processes[*index].is_done).collect();
         let links: Vec<&Link> = open.iter().map(|index| &self.processes[*index].link).collect();
@@ -148,48 +227,62 @@ impl Supervisor {
         for index in ready.into_iter().map(|ready| open[ready]) {
             let process = &mut self.processes[index];
             let packet = process.link.receive().unwrap_or(None);
-            let Some(packet) = packet else { return Err(self.death()) };
+            let Some(packet) = packet else {
+                self.bury(index)?;
+                heard.push((index, Event::Death));
+                continue;
+            };
             process.last_heard = Instant::now();
             match News::from_packet(&packet.bytes).with_context(|| format!("{} sent", process.name))? {
                 News::Alive => {}
                 News::Failed(why) => return Err(self.gave_up(index, &why)),
-                news => heard.push((index, news)),
+                news => heard.push((index, Event::News(news))),
             }
         }
         self.check_silence()?;
         Ok(heard)
     }
 
-    /// Gives up a process that has said nothing for the deadline.
-    fn check_silence(&self) -> Result<()> {
-        let silent = |process: &&Process| !process.is_done && process.last_heard.elapsed() > self.deadline;
-        match self.processes.iter().find(silent) {
-            None => Ok(()),
-            Some(process) => Err(anyhow!(
-                "{} {} while {}: it said nothing for {:.1} s",
-                process.name,
-                if process.is_stopped() { "was stopped" } else { "hung" },
-                self.doing,
-                self.deadline.as_secs_f64(),
-            )),
+    /// Gives up a process that has said nothing for the deadline: kills it, if the others can go on without it.
+    fn check_silence(&mut self) -> Result<()> {
+        let silent = |process: &Process| !process.is_done && process.last_heard.elapsed() > self.deadline;
+        let Some(index) = self.processes.iter().position(silent) else { return Ok(()) };
+        let process = &self.processes[index];
+        let what = if process.is_stopped() { "was stopped" } else { "hung" };
+        let silence_s = self.deadline.as_secs_f64();
+        if !self.can_spare(index) {
+            bail!("{} {what} while {}: it said nothing for {silence_s:.1} s", process.name, self.doing);
         }
+        // Its link closes, and that is how its death is noticed.
+        let process = &mut self.processes[index];
+        process.given_up = Some(format!("{what}, said nothing for {silence_s:.1} s and was killed"));
+        process.last_heard = Instant::now();
+        Ok(process.child.kill()?)
     }
 
-    /// Why a process that has closed its link has ended.
-    fn death(&mut self) -> Error {
-        // A process that has closed its link is about to end, unless it only closed its link.
-        let end = Instant::now() + self.deadline;
-        loop {
-            for process in self.processes.iter_mut().filter(|process| !process.is_done) {
-                if let Ok(Some(status)) = process.child.try_wait() {
-                    return anyhow!("{} {} while {}", process.name, how_it_ended(status), self.doing);
-                }
-            }
-            if Instant::now() > end {
-                return anyhow!("a process closed its link and did not end, while {}", self.doing);
-            }
-            std::thread::yield_now();
+    /// Sees the end of a process that has closed its link, and tells the others, who go on if they can.
+    fn bury(&mut self, index: usize) -> Result<()> {
+        let deadline = self.deadline;
+        let how = self.processes[index].how_it_ended(deadline)?;
+        let (process, doing) = (self.processes[index].name.clone(), self.doing.clone());
+        if !self.can_spare(index) {
+            bail!("{process} {how} while {doing}");
         }
+        self.losses.push(Loss { process, how, doing, tiles_dealt_again: 0 });
+        self.processes[index].is_done = true;
+        self.processes[index].is_dead = true;
+        self.tell_all(&Order::Down(u16::try_from(index)?))
+    }
+
+    /// Whether the others can go on without a process: somebody renders, and every page is left.
+    fn can_spare(&self, index: usize) -> bool {
+        let is_dead = |other: usize| other == index || self.processes[other].is_dead;
+        let renders = (0..self.nodes).any(|node| !is_dead(node));
+        let is_copied = self.placement.replicas() > 1;
+        self.is_running
+            && is_copied
+            && renders
+            && is_all_there(&self.placement, |NodeId(node)| is_dead(node.into()))
     }
 
     /// A process says that it cannot go on. If that is because another one is gone, that one is named.
@@ -209,20 +302,17 @@ impl Supervisor {
         }
     }
 
-    fn reject(&self, index: usize, news: &News) -> Result<()> {
-        bail!("{} sent {news:?} while {}", self.processes[index].name, self.doing)
-    }
-
-    fn tell_all(&mut self, order: &Order) -> Result<()> {
-        let packet = order.to_packet()?;
-        (0..self.processes.len()).try_for_each(|index| self.send(index, &packet, &[]))
-    }
-
-    fn send(&mut self, index: usize, packet: &[u8], files: &[BorrowedFd<'_>]) -> Result<()> {
-        match self.processes[index].link.send_with(packet, files) {
-            Ok(()) => Ok(()),
-            Err(_) => Err(self.death()),
+    fn reject(&self, index: usize, event: &Event) -> Result<()> {
+        let (name, doing) = (&self.processes[index].name, &self.doing);
+        match event {
+            Event::News(news) => bail!("{name} sent {news:?} while {doing}"),
+            Event::Death => bail!("{name} died while {doing}"),
         }
+    }
+
+    fn tell_all(&self, order: &Order) -> Result<()> {
+        let packet = order.to_packet()?;
+        self.processes.iter().try_for_each(|process| process.send(&packet, &[]))
     }
 }
 
@@ -246,7 +336,31 @@ impl Process {
             .stdin(Stdio::from(theirs.into_socket()))
             .stdout(Stdio::null())
             .spawn()?;
-        Ok(Self { name: name_of(plan), child, link: ours, last_heard: Instant::now(), is_done: false })
+        let (name, last_heard) = (name_of(plan), Instant::now());
+        Ok(Self { name, child, link: ours, last_heard, is_done: false, is_dead: false, given_up: None })
+    }
+
+    /// Sends a packet. To one that is dead it is lost: its death is noticed when it is listened to.
+    fn send(&self, packet: &[u8], files: &[BorrowedFd<'_>]) -> Result<()> {
+        match self.link.send_with(packet, files) {
+            Err(error) if matches!(error.kind(), ErrorKind::BrokenPipe | ErrorKind::ConnectionReset) => {
+                Ok(())
+            }
+            sent => Ok(sent?),
+        }
+    }
+
+    /// How a process has ended that has closed its link.
+    fn how_it_ended(&mut self, deadline: Duration) -> Result<String> {
+        // It is about to end, unless it only closed its link.
+        let end = Instant::now() + deadline;
+        while Instant::now() < end {
+            if let Some(status) = self.child.try_wait()? {
+                return Ok(self.given_up.take().unwrap_or_else(|| how_it_ended(status)));
+            }
+            std::thread::yield_now();
+        }
+        bail!("{} closed its link and did not end", self.name)
     }
 
     /// Waits for the end of a process that has reported.
@@ -268,47 +382,6 @@ impl Process {
         // The state follows the name, which is in parentheses and may hold anything.
         let state = stat.rsplit_once(") ").and_then(|(_, rest)| rest.chars().next());
         matches!(state, Some('T' | 't'))
-    }
-}
-
-impl Canvas {
-    fn new(frame: Frame) -> Self {
-        let tiles = Tiles::of(frame.width, frame.height);
-        let count = tiles.ids().len();
-        Self {
-            frame,
-            tiles,
-            picture: Picture::new(PictureSize { width: frame.width, height: frame.height }),
-            missing: count,
-            is_there: vec![false; count],
-            counts: Drawn { frame: frame.number, ..Drawn::default() },
-            painters_done: 0,
-        }
-    }
-
-    /// Puts tiles in place, each once.
-    fn put(&mut self, batch: &TileBatch) -> Result<()> {
-        if batch.frame() != self.frame.number {
-            bail!("tiles of frame {} for frame {}", batch.frame(), self.frame.number);
-        }
-        for tile in batch.tiles(self.tiles) {
-            let (id, tile, pixels) = tile?;
-            if core::mem::replace(&mut self.is_there[id.0 as usize], true) {
-                bail!("tile {} twice", id.0);
-            }
-            self.picture.put(tile, pixels);
-            self.missing -= 1;
-        }
-        Ok(())
-    }
-
-    fn count(&mut self, drawn: &Drawn) {
-        self.painters_done += 1;
-        self.counts.primary_rays += drawn.primary_rays;
-        self.counts.hits += drawn.hits;
-        self.counts.shadow_rays += drawn.shadow_rays;
-        self.counts.lit += drawn.lit;
-        self.counts.damaged += drawn.damaged;
     }
 }
 

@@ -27,24 +27,47 @@
 //! as they always did. It runs on a stack of its own, keeps the error number, and makes only these calls, none of
 //! which allocates or locks: `futex`, `clock_gettime`, `getpid`, `ioctl`, `mmap`, `madvise`, `process_madvise`,
 //! `pwrite`, `write` (to complain), and what the thread's [`Transport`](dsm_core::transport::Transport) makes.
+//!
+//! Under `--cfg loom` the crate shrinks to the lock and the words that threads wait on, which the model checker then
+//! drives.
 
-mod area;
-mod backend;
-mod failure;
-mod foresight;
-mod lent;
+#![cfg_attr(loom, expect(dead_code, reason = "most of what the lock and the words are for is not there"))]
+
 mod lock;
-mod paging;
-mod probe;
-mod region;
-mod signal;
-mod sys;
-mod thread;
+mod sync;
+#[cfg(all(test, loom))]
+mod waiting_model;
 mod words;
 
-pub use backend::{BackendKind, Record, UnknownBackend};
-pub use failure::{PageFailure, Reason};
-pub use probe::{Choice, Declined};
-pub use region::{Region, RegionError, Setup};
-pub use sys::Errno;
-pub use thread::{AttachError, Attached, ThreadStats};
+#[cfg(not(loom))]
+mod area;
+#[cfg(not(loom))]
+mod backend;
+#[cfg(not(loom))]
+mod failure;
+#[cfg(not(loom))]
+mod foresight;
+#[cfg(not(loom))]
+mod lent;
+#[cfg(not(loom))]
+mod paging;
+#[cfg(not(loom))]
+mod probe;
+#[cfg(not(loom))]
+mod region;
+#[cfg(not(loom))]
+mod signal;
+#[cfg(not(loom))]
+mod sys;
+#[cfg(not(loom))]
+mod thread;
+
+#[cfg(not(loom))]
+pub use {
+    backend::{BackendKind, Record, UnknownBackend},
+    failure::{PageFailure, Reason},
+    probe::{Choice, Declined},
+    region::{Region, RegionError, Setup},
+    sys::Errno,
+    thread::{AttachError, Attached, ThreadStats},
+};

@@ -217,6 +217,15 @@ impl Paging {
         self.finish(node)
     }
 
+    /// Lets the state machine know that a peer is dead. What was asked of it is asked of the next copy as soon as the
+    /// thread that asked looks at its request again.
+    pub(crate) fn handle_peer_down(&self, peer: NodeId) {
+        let mut node = self.node.lock();
+        node.handle_peer_down(sys::now(), peer);
+        let work = self.finish(node);
+        debug_assert!(work.requests.is_empty(), "a death alone sends nothing");
+    }
+
     /// Puts a page in place and tells the state machine.
     pub(crate) fn fill(&self, page: PageId, slot: SlotId, body: Body<'_>) -> Result<(), PageFailure> {
         let filled = self.backend.fill(&self.area, page, slot, body);

@@ -6,7 +6,7 @@ use core::sync::atomic::{AtomicU64, Ordering};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 use std::sync::Arc;
 
-use dsm_core::id::{PageId, PortId};
+use dsm_core::id::{NodeId, PageId, PortId};
 use dsm_core::node;
 use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use dsm_core::stats::NodeStats;
@@ -185,6 +185,13 @@ impl Region {
     /// The first page that could not be had, and why.
     pub fn check(&self) -> Result<(), PageFailure> {
         self.paging().map_or(Ok(()), Paging::check)
+    }
+
+    /// Tells that another node is dead: it is asked for nothing any more, where there are copies elsewhere.
+    pub fn handle_peer_down(&self, peer: NodeId) {
+        if let Some(paging) = self.paging() {
+            paging.handle_peer_down(peer);
+        }
     }
 
     pub(crate) fn paging(&self) -> Option<&Paging> {

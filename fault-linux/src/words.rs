@@ -1,17 +1,16 @@
 //! What threads sleep on while another thread fetches their page.
 
-use core::sync::atomic::{AtomicU32, Ordering};
-
 use dsm_core::id::PageId;
 
-use crate::sys::{futex_wait, futex_wake_all};
+use crate::sync::{AtomicU32, Ordering, futex_wait, futex_wake_all};
 
 /// A fixed number of words, shared by all pages: a few threads ever wait, so pages rarely meet.
 ///
 /// # How no wake-up is lost
 /// A word is read under the lock of the state machine, together with the answer "wait". Whoever changes the page's
 /// state does so under the same lock, later, and changes the word after that. So a waiter that sleeps on what it has
-/// read either still finds the old value and is woken, or finds another and does not sleep.
+/// read either still finds the old value and is woken, or finds another and does not sleep. Loom checks this and the
+/// lock in `waiting_model`.
 #[derive(Debug)]
 pub(crate) struct Words {
     pages: [AtomicU32; PAGE_WORDS],
@@ -25,11 +24,11 @@ pub(crate) struct Ticket<'a> {
     seen: u32,
 }
 
-const PAGE_WORDS: usize = 256;
+const PAGE_WORDS: usize = if cfg!(loom) { 1 } else { 256 };
 
 impl Words {
-    pub(crate) const fn new() -> Self {
-        Self { pages: [const { AtomicU32::new(0) }; PAGE_WORDS], slots: AtomicU32::new(0) }
+    pub(crate) fn new() -> Self {
+        Self { pages: core::array::from_fn(|_| AtomicU32::new(0)), slots: AtomicU32::new(0) }
     }
 
     /// For a thread that is to wait for `page`. Call it under the lock.

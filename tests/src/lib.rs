@@ -122,15 +122,24 @@ impl Running {
     /// When they do not within a minute.
     #[must_use]
     pub fn start<S: AsRef<str>>(arguments: &[S], processes: usize, thread: &str) -> Self {
-        let arguments = arguments.iter().map(AsRef::as_ref);
-        let mut command = Command::new(program());
-        command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
-        let running = Self { child: command.spawn().expect("the command starts") };
+        let running = Self::spawn(arguments);
         wait_until("the cluster runs", || {
             let started = running.processes();
             started.len() == processes && started.iter().all(|process| has_thread(*process, thread))
         });
         running
+    }
+
+    /// Starts the command.
+    ///
+    /// # Panics
+    /// When it does not start.
+    #[must_use]
+    pub fn spawn<S: AsRef<str>>(arguments: &[S]) -> Self {
+        let arguments = arguments.iter().map(AsRef::as_ref);
+        let mut command = Command::new(program());
+        command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+        Self { child: command.spawn().expect("the command starts") }
     }
 
     /// The number of the command's own process.

@@ -42,6 +42,9 @@ const ASKED_MAX: usize = 16;
 /// A sleep is never longer than this, whatever the deadline.
 const SLEEP_US_MAX: u64 = 10_000;
 
+/// Nor than this while others than the one who rings may answer.
+const LOOK_US: u64 = 1_000;
+
 impl RingPort {
     /// A port without routes. It looks for an answer for `spin_us` before it sleeps: about 100 where every thread has
     /// a core, 0 where owner and reader share one.
@@ -94,22 +97,22 @@ impl Transport for RingPort {
     }
 
     fn receive(&mut self, deadline: Instant) -> Option<Received<'_>> {
-        let spin_us = self.spin_us;
         self.routes.iter_mut().flatten().for_each(|route| route.channel.release());
-        // Whoever has answered already comes first; else whoever was asked first is waited for.
         let has_answer = |owner: &usize| {
             self.routes.get(*owner).and_then(Option::as_ref).is_some_and(|route| route.channel.has_answer())
         };
-        let place = self.asked.iter().position(has_answer).unwrap_or(0);
-        let owner = self.asked.get(place).copied().unwrap_or(self.last);
-        let channel = &self.route(owner)?.channel;
-        wait_for(deadline, spin_us, || channel.has_answer(), |timeout_us| channel.sleep(timeout_us));
-        // Answered or overdue: in both cases the others come first from now on.
-        self.asked.remove(place);
-        if !self.route(owner)?.channel.has_answer() {
-            self.asked.push_back(owner);
-            return None;
-        }
+        let is_ready = || has_answer(&self.last) || self.asked.iter().any(has_answer);
+        // Whoever was asked last rings; the others are looked at meanwhile. One of them may be dead and never ring.
+        let last = &self.routes.get(self.last)?.as_ref()?.channel;
+        let sleep_us_max = if self.asked.len() > 1 { LOOK_US } else { SLEEP_US_MAX };
+        wait_for(deadline, self.spin_us, is_ready, |timeout_us| last.sleep(timeout_us.min(sleep_us_max)));
+        let Some(place) = self.asked.iter().position(has_answer) else {
+            // Overdue: whoever was asked longest ago is not looked at any more, until it is asked again.
+            self.asked.pop_front();
+            let (header, body) = self.route(self.last)?.channel.answer()?;
+            return Some(Received { header, body });
+        };
+        let owner = self.asked.remove(place)?;
         let (header, body) = self.route(owner)?.channel.answer()?;
         Some(Received { header, body })
     }
