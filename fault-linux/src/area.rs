@@ -66,6 +66,9 @@ impl Area {
 
 impl Drop for Area {
     fn drop(&mut self) {
-        sys::unmap(self.start, self.bytes());
+        // An area of no pages, as of a node without slots, is no mapping.
+        if self.bytes() > 0 {
+            sys::unmap(self.start, self.bytes());
+        }
     }
 }

@@ -72,11 +72,20 @@ impl PageFile {
 
     /// Declares the pages final: from now on the kernel lets nobody write them, nor undo this.
     ///
+    /// fcntl_addseals(2), EBUSY: "there exists a writable, shared mapping on the file". The kernel says so too while it holds
+    /// a page itself, as it does for a moment when it moves pages about, so it is asked again.
+    ///
     /// # Errors
     /// Somebody has the file mapped for writing.
     pub fn freeze(&self) -> io::Result<()> {
-        fcntl_add_seals(&self.file, SealFlags::WRITE | SealFlags::SEAL)?;
-        Ok(())
+        const TRIES: u32 = 20;
+        for _ in 1..TRIES {
+            match fcntl_add_seals(&self.file, SealFlags::WRITE | SealFlags::SEAL) {
+                Err(rustix::io::Errno::BUSY) => std::thread::yield_now(),
+                result => return Ok(result?),
+            }
+        }
+        Ok(fcntl_add_seals(&self.file, SealFlags::WRITE | SealFlags::SEAL)?)
     }
 
     /// Counts the pages as this process's resident memory for as long as the answer lives.
