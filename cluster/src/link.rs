@@ -69,17 +69,25 @@ impl Link {
     }
 
     /// Receives the next packet; `None` when the other end is gone.
+    ///
+    /// Who ends with packets unread resets the link. The system tells that once, and before what it had sent.
     pub(crate) fn receive(&self) -> io::Result<Option<Packet>> {
+        let is_reset = |error: &io::Error| error.kind() == io::ErrorKind::ConnectionReset;
+        match self.receive_once() {
+            Err(error) if is_reset(&error) => match self.receive_once() {
+                Err(error) if is_reset(&error) => Ok(None),
+                next => next,
+            },
+            packet => packet,
+        }
+    }
+
+    fn receive_once(&self) -> io::Result<Option<Packet>> {
         let mut bytes = vec![0; PACKET_BYTES_MAX];
         let mut space = vec![MaybeUninit::uninit(); rustix::cmsg_space!(ScmRights(FILES_MAX))];
         let mut ancillary = RecvAncillaryBuffer::new(&mut space);
         let flags = RecvFlags::CMSG_CLOEXEC;
-        let received = match recvmsg(&self.socket, &mut [IoSliceMut::new(&mut bytes)], &mut ancillary, flags)
-        {
-            Ok(received) => received,
-            Err(rustix::io::Errno::CONNRESET) => return Ok(None),
-            Err(error) => return Err(error.into()),
-        };
+        let received = recvmsg(&self.socket, &mut [IoSliceMut::new(&mut bytes)], &mut ancillary, flags)?;
         if received.flags.intersects(ReturnFlags::TRUNC | ReturnFlags::CTRUNC) {
             return Err(io::Error::new(io::ErrorKind::InvalidData, "a packet larger than packets are"));
         }
