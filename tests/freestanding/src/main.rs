@@ -16,7 +16,7 @@ use dsm_core::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
 use dsm_core::time::Instant;
 use dsm_core::wire::{HEADER_BYTES, Message};
 use rt_core::camera::OrbitPlace;
-use rt_core::{Flat, Frame, Kernel, Orbit, SceneView, TileId, Tiles, WorkCounts, render_tile};
+use rt_core::{Flat, Frame, Kernel, Orbit, SceneView, TILE_SIZE, TileId, Tiles, WorkCounts, render_tile};
 
 /// A scene image as a file on disk or a page from the network would have it, aligned as a page is.
 #[repr(align(4096))]
@@ -76,6 +76,7 @@ fn drive(node: &mut Node<'_>, now: Instant) -> Option<()> {
             }
             Output::Map { page, .. } => node.handle_filled(now, page),
             Output::Unmap { page, .. } => node.handle_unmapped(now, page),
+            Output::Hide { page, .. } => node.handle_covered(now, page),
             Output::Store { .. } | Output::WakePage { .. } | Output::WakeSlots => {}
         }
     }
@@ -93,7 +94,7 @@ fn trace(image: &[u8]) -> Option<u64> {
     let mut hits = 0;
     for id in 0..tiles.count() {
         let tile = tiles.get(TileId(id))?;
-        let mut pixels = [0; 256];
+        let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
         let counted = render_tile(&scene, &frame, tile, kernel, &mut pixels[..tile.pixels()], &mut counts);
         if counted.damaged > 0 {
             return None;
