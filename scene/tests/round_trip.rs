@@ -243,7 +243,8 @@ fn broken_files_are_refused_with_one_line() {
     }
     assert!(refused("long", &[whole.as_slice(), b"x"].concat()).starts_with("not a whole scene image"));
     let header = *view_of(&whole).expect("a sound image").header();
-    for (kind, segment) in header.segments.in_order() {
+    // A mesh has no segments of a volume.
+    for (kind, segment) in header.segments.in_order().into_iter().filter(|(_, segment)| segment.bytes > 0) {
         let mut bytes = whole.clone();
         let last = usize::try_from(segment.offset + segment.bytes - 1).expect("a small file");
         bytes[last] ^= 1;
