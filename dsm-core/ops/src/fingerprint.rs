@@ -7,7 +7,8 @@ use dsm_core::time::Instant;
 use dsm_core::wire::{Body, Message};
 
 use crate::member::{Member, Thread};
-use crate::world::{Packet, World};
+use crate::packet::Packet;
+use crate::world::World;
 
 impl World {
     /// A number that two worlds have in common when whatever happens to both leads to the same: times count as distances

@@ -22,9 +22,15 @@
 
 mod fingerprint;
 mod member;
+mod network;
 mod op;
 mod oracle;
+mod packet;
+mod setup;
+mod tally;
 mod world;
 
 pub use op::{Op, Stray};
-pub use world::{Setup, Tally, World, run, run_bytes};
+pub use setup::Setup;
+pub use tally::Tally;
+pub use world::{World, run, run_bytes};

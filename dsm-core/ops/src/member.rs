@@ -8,10 +8,11 @@ use dsm_core::node::{Config, Fault, Node, Output, PageBytes, Snapshot};
 use dsm_core::replacement::Policy;
 use dsm_core::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
 use dsm_core::time::Instant;
-use dsm_core::wire::{HEADER_BYTES, Message};
+use dsm_core::wire::HEADER_BYTES;
 
 use crate::oracle::{Oracle, held_in_order};
-use crate::world::{PAGE_BYTES, Packet, Setup};
+use crate::packet::Packet;
+use crate::setup::{PAGE_BYTES, Setup};
 
 /// One node: its state machines, the memory lent to them, its threads, and what its driver is busy with.
 #[derive(Clone, Debug)]
@@ -294,21 +295,6 @@ impl Thread {
             Self::Running => None,
             Self::Fetching(wait) | Self::WaitingForPage(wait) | Self::WaitingForSlot(wait) => Some(*wait),
         }
-    }
-}
-
-impl Packet {
-    fn assert_is_of(&self, page: PageId) {
-        assert!(
-            self.page.is_none_or(|carried| carried == page.0),
-            "RIGHT_BYTES: bytes of page {:?} are taken for {page}",
-            self.page
-        );
-    }
-
-    /// What its header says.
-    pub(crate) fn message(&self) -> Option<Message> {
-        Message::parse(&self.header).ok()
     }
 }
 

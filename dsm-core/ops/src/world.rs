@@ -1,55 +1,17 @@
 //! A cluster, its network, and the operations on them.
 
-use dsm_core::home::{Answer, HomeError};
-use dsm_core::id::{Epoch, Incarnation, NodeId, PageId};
-use dsm_core::node::{Config, Fault};
+use dsm_core::id::{Incarnation, NodeId, PageId};
+use dsm_core::node::Fault;
 use dsm_core::page_state::PageState;
-use dsm_core::placement::Stripes;
-use dsm_core::replacement::PolicyKind;
-use dsm_core::stats::NodeStats;
 use dsm_core::time::Instant;
 use dsm_core::wire::{Body, HEADER_BYTES, Message};
 
 use crate::member::{Member, Thread, Wait, Work, port};
-use crate::op::{Op, Stray};
-use crate::oracle::{self, carried, holds};
+use crate::op::Op;
 
-/// What a cluster is made of.
-#[derive(Clone, Copy, Debug)]
-pub struct Setup {
-    /// Nodes, of which the last `owners` own the pages.
-    pub nodes: u8,
-    /// Nodes that own pages.
-    pub owners: u8,
-    /// Pages of the address space.
-    pub pages: u8,
-    /// Pages of a stripe.
-    pub stripe_pages: u8,
-    /// Copies of each page.
-    pub replicas: u8,
-    /// Threads of each node.
-    pub threads: u8,
-    /// Slots of each node.
-    pub slots: u8,
-    /// Requests that a node can have under way.
-    pub requests: u8,
-    /// Which page has to leave.
-    pub policy: PolicyKind,
-    /// See [`Config::evict_batch`].
-    pub evict_batch: u8,
-    /// See [`Config::evict_ahead`].
-    pub evict_ahead: u8,
-    /// See [`Config::hidden_max`]; less than the slots.
-    pub hidden: u8,
-    /// Parts in which pages travel; 1 for whole pages.
-    pub fragments: u8,
-    /// Sendings to one copy before the next is asked.
-    pub tries: u8,
-    /// All timeouts are the same, whatever has been measured: a model stays finite.
-    pub is_rigid: bool,
-    /// Peers die of silence alone before a fault is given up, else after.
-    pub buries_early: bool,
-}
+use crate::packet::{Packet, asker_and_owner};
+use crate::setup::{DEADLINE_US, RESEND_US, Setup};
+use crate::tally::Tally;
 
 /// A cluster and its network.
 #[derive(Clone, Debug)]
@@ -66,41 +28,8 @@ pub struct World {
     ended: Tally,
 }
 
-/// What a run has come by: to see that it has come by everything.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[expect(missing_docs, reason = "each is the count of that name in `NodeStats`, over all nodes")]
-pub struct Tally {
-    pub faults: u64,
-    pub fetched_pages: u64,
-    pub evicted_pages: u64,
-    pub resends: u64,
-    pub failovers: u64,
-    pub fragments: u64,
-    pub dead_peers: u64,
-    pub late_answers: u64,
-    pub refused_messages: u64,
-    pub restarts: u64,
-}
-
-/// A message under way.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Packet {
-    pub(crate) header: [u8; HEADER_BYTES],
-    /// The page whose bytes follow; `None` for no bytes, or for bytes that nobody vouches for.
-    pub(crate) page: Option<u32>,
-}
-
 /// Reads of pages from this number on ask for them ahead.
 const AHEAD: u8 = 192;
-
-/// Length of a page. Real ones are longer; what matters is that there are units to be cut into.
-pub(crate) const PAGE_BYTES: u32 = 64;
-
-const RESEND_US: u64 = 1_000;
-const DEADLINE_US: u64 = 20_000;
-
-/// In a model every moment counts, for each makes other states.
-const RIGID_DEADLINE_US: u64 = 8 * RESEND_US;
 
 /// Runs `ops` on a cluster, with everything checked after each, then lets it come to rest and reads what can be had.
 ///
@@ -123,81 +52,6 @@ pub fn run(setup: Setup, ops: impl IntoIterator<Item = Op>) -> World {
 pub fn run_bytes(bytes: &[u8]) {
     if let Some((setup, ops)) = bytes.split_first_chunk::<{ Setup::BYTES }>() {
         run(Setup::from_bytes(*setup), Op::list_from_bytes(ops));
-    }
-}
-
-impl Setup {
-    /// Bytes that a set-up is made of.
-    pub const BYTES: usize = 4;
-
-    /// The set-up that these bytes stand for. All bytes stand for one.
-    #[must_use]
-    pub fn from_bytes([cluster, node, asking, parts]: [u8; Self::BYTES]) -> Self {
-        let policies = PolicyKind::ALL;
-        Self {
-            nodes: 3 + cluster % 2,
-            replicas: 1 + cluster / 2 % 3,
-            stripe_pages: 1 + cluster / 6 % 3,
-            slots: 1 + node % 4,
-            hidden: (node / 24 % 4).min(node % 4),
-            policy: policies[usize::from(node / 4) % policies.len()],
-            evict_batch: 1 + asking % 3,
-            evict_ahead: asking / 3 % 3,
-            requests: 1 + asking / 9 % 4,
-            tries: 1 + parts % 3,
-            fragments: [1, 4, 32][usize::from(parts / 3) % 3],
-            buries_early: parts / 9 % 2 == 0,
-            ..Self::SMALL
-        }
-    }
-
-    /// Three nodes of two threads, all of which own pages, with two copies of each.
-    pub const SMALL: Self = Self {
-        nodes: 3,
-        owners: 3,
-        pages: 9,
-        stripe_pages: 2,
-        replicas: 2,
-        threads: 2,
-        slots: 2,
-        requests: 4,
-        policy: PolicyKind::Fifo,
-        evict_batch: 1,
-        evict_ahead: 0,
-        hidden: 0,
-        fragments: 1,
-        tries: 2,
-        is_rigid: false,
-        buries_early: true,
-    };
-
-    pub(crate) const fn deadline_us(&self) -> u64 {
-        if self.is_rigid { RIGID_DEADLINE_US } else { DEADLINE_US }
-    }
-
-    /// The configuration of one node.
-    pub(crate) fn config(&self, me: NodeId, incarnation: Incarnation) -> Config {
-        let first_owner = NodeId(u16::from(self.nodes - self.owners));
-        let stripes =
-            Stripes::new(self.pages.into(), self.stripe_pages.into(), first_owner, self.owners.into());
-        let placement = stripes.and_then(|stripes| stripes.with_replicas(self.replicas));
-        let placement = placement.expect("the set-up is consistent");
-        Config {
-            epoch: Epoch(3),
-            incarnation,
-            evict_batch: self.evict_batch.into(),
-            evict_ahead: self.evict_ahead.into(),
-            hidden_max: self.hidden.into(),
-            fragments: self.fragments > 1,
-            resend_us: RESEND_US,
-            resend_us_min: RESEND_US,
-            resend_us_max: if self.is_rigid { RESEND_US } else { DEADLINE_US },
-            tries: self.tries,
-            suspect_after_us: 2 * RESEND_US,
-            dead_after_us: if self.buries_early { self.deadline_us() / 2 } else { self.deadline_us() * 2 },
-            deadline_us: self.deadline_us(),
-            ..Config::new(me, placement, PAGE_BYTES)
-        }
     }
 }
 
@@ -463,7 +317,7 @@ impl World {
     }
 
     /// Does what an input has caused: sends, and lets the woken ask again.
-    fn carry_out(&mut self, node: usize, sent: Vec<Packet>, woken: Vec<usize>) {
+    pub(crate) fn carry_out(&mut self, node: usize, sent: Vec<Packet>, woken: Vec<usize>) {
         let (member, now) = (&mut self.members[node], self.now);
         for message in sent.iter().filter_map(Packet::message) {
             member.oracle.note_request(&message);
@@ -507,84 +361,6 @@ impl World {
                 self.fault(node, *thread, wait.page, Some(wait));
             }
         }
-    }
-
-    fn deliver(&mut self, packet: &Packet) {
-        let Some(message) = packet.message() else {
-            // Not even a message: whoever gets it counts it.
-            let now = self.now;
-            let member = &mut self.members[0];
-            let time = member.time(now);
-            if member.is_alive {
-                let _ = member.with_node(|node| node.handle_message(time, &packet.header));
-            }
-            return;
-        };
-        let to = message.to.index();
-        if !self.members.get(to).is_some_and(|member| member.is_alive) {
-            return;
-        }
-        match message.body {
-            Body::Request { .. } => self.deliver_request(to, packet, &message),
-            Body::Grant { .. } | Body::Refusal(_) => self.deliver_answer(to, packet, &message),
-        }
-    }
-
-    fn deliver_request(&mut self, to: usize, packet: &Packet, request: &Message) {
-        let member = &mut self.members[to];
-        let answer = member.home.handle_message(&packet.header);
-        if oracle::must_drop(&member.config, request) {
-            assert!(answer.is_err(), "BELIEVES_NO_STRANGER: {to} answers {request:?}");
-        }
-        match answer {
-            Ok(Answer::Grant { message, held_index }) => {
-                let page = member.memory.get(held_index as usize).copied().unwrap_or(u32::MAX);
-                for message in message.fragments(PAGE_BYTES / u32::from(self.setup.fragments)) {
-                    let mut header = [0; HEADER_BYTES];
-                    message.emit(&mut header);
-                    self.under_way.push(Packet { header, page: Some(page) });
-                }
-            }
-            Ok(Answer::Refuse { message }) => {
-                let mut header = [0; HEADER_BYTES];
-                message.emit(&mut header);
-                self.under_way.push(Packet { header, page: None });
-            }
-            Err(HomeError::Parse(_)) => unreachable!("it parsed"),
-            Err(_) => {}
-        }
-    }
-
-    fn deliver_answer(&mut self, to: usize, packet: &Packet, message: &Message) {
-        let member = &mut self.members[to];
-        let now = member.time(self.now);
-        let distrust = member.oracle.distrust(&member.config, message);
-        let round_trip = |member: &mut Member| member.with_node(|node| node.round_trip_us(message.from));
-        let before = round_trip(member);
-        let (answer, sent, woken) =
-            member.input(Some(packet), |node| node.handle_message(now, &packet.header));
-        let is_late = answer == Err(dsm_core::node::MessageError::Late(message.page));
-        let is_believed = answer.is_ok() || is_late;
-        assert!(
-            !is_believed || distrust.is_none(),
-            "BELIEVES_NO_STRANGER: {message:?} {}",
-            distrust.unwrap_or("")
-        );
-        if answer.is_ok() {
-            member.oracle.check_effect(message);
-        }
-        if is_believed {
-            let after = round_trip(member);
-            if after.is_some() && before != after {
-                member.oracle.check_measured(message);
-            }
-            member.oracle.note_heard(message.from, message.from_incarnation);
-        }
-        if carried(message).is_none() {
-            // A refusal leads to another sending at once; its interval is no sign of silence.
-            member.oracle.forgive(message.page);
-        }
-        self.carry_out(to, sent, woken);
     }
 
     fn finish(&mut self, node: usize, work: u8) {
@@ -733,27 +509,6 @@ impl World {
         self.carry_out(node, sent, woken);
     }
 
-    /// A copy of a packet that is for somebody else, where there can be such.
-    fn stray(&self, packet: &Packet, how: Stray) -> Option<Packet> {
-        let mut message = packet.message()?;
-        let is_answer = !matches!(message.body, Body::Request { .. });
-        match how {
-            Stray::Epoch => message.epoch.0 += 1,
-            Stray::Cluster => message.cluster.0 += 1,
-            Stray::From if is_answer => {
-                let placement = self.members.first()?.config.placement;
-                let stranger =
-                    (0..self.members.len()).filter_map(|node| u16::try_from(node).ok()).map(NodeId);
-                message.from = stranger.into_iter().find(|node| !holds(&placement, *node, message.page))?;
-            }
-            Stray::Incarnation if is_answer => message.to_incarnation.0 += 1,
-            Stray::From | Stray::Incarnation => return None,
-        }
-        let mut header = [0; HEADER_BYTES];
-        message.emit(&mut header);
-        Some(Packet { header, page: packet.page })
-    }
-
     fn check(&mut self) {
         for member in self.members.iter_mut().filter(|member| member.is_alive) {
             let mut slots: Vec<u32> = member.visible.values().copied().collect();
@@ -796,62 +551,6 @@ impl World {
                 }
             });
         }
-    }
-}
-
-impl Tally {
-    /// Both together.
-    #[must_use]
-    pub const fn plus(self, other: Self) -> Self {
-        Self {
-            faults: self.faults + other.faults,
-            fetched_pages: self.fetched_pages + other.fetched_pages,
-            evicted_pages: self.evicted_pages + other.evicted_pages,
-            resends: self.resends + other.resends,
-            failovers: self.failovers + other.failovers,
-            fragments: self.fragments + other.fragments,
-            dead_peers: self.dead_peers + other.dead_peers,
-            late_answers: self.late_answers + other.late_answers,
-            refused_messages: self.refused_messages + other.refused_messages,
-            restarts: self.restarts + other.restarts,
-        }
-    }
-
-    /// Each count with its name.
-    #[must_use]
-    pub const fn named(&self) -> [(&'static str, u64); 10] {
-        [
-            ("faults", self.faults),
-            ("fetched pages", self.fetched_pages),
-            ("evicted pages", self.evicted_pages),
-            ("resends", self.resends),
-            ("failovers", self.failovers),
-            ("fragments", self.fragments),
-            ("dead peers", self.dead_peers),
-            ("late answers", self.late_answers),
-            ("refused messages", self.refused_messages),
-            ("restarts", self.restarts),
-        ]
-    }
-
-    fn add(&mut self, stats: NodeStats) {
-        self.faults += stats.faults;
-        self.fetched_pages += stats.fetched_pages;
-        self.evicted_pages += stats.evicted_pages;
-        self.resends += stats.resends;
-        self.failovers += stats.failovers;
-        self.fragments += stats.fragments;
-        self.dead_peers += stats.dead_peers;
-        self.late_answers += stats.late_answers;
-        self.refused_messages += stats.refused_messages;
-    }
-}
-
-/// Who asked, and who is asked, in a request or its answer.
-pub(crate) fn asker_and_owner(message: &Message) -> (NodeId, NodeId) {
-    match message.body {
-        Body::Request { .. } => (message.from, message.to),
-        Body::Grant { .. } | Body::Refusal(_) => (message.to, message.from),
     }
 }
 

@@ -1,0 +1,67 @@
+//! What a run has come by.
+
+use dsm_core::stats::NodeStats;
+
+/// What a run has come by: to see that it has come by everything.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[expect(missing_docs, reason = "each is the count of that name in `NodeStats`, over all nodes")]
+pub struct Tally {
+    pub faults: u64,
+    pub fetched_pages: u64,
+    pub evicted_pages: u64,
+    pub resends: u64,
+    pub failovers: u64,
+    pub fragments: u64,
+    pub dead_peers: u64,
+    pub late_answers: u64,
+    pub refused_messages: u64,
+    pub restarts: u64,
+}
+
+impl Tally {
+    /// Both together.
+    #[must_use]
+    pub const fn plus(self, other: Self) -> Self {
+        Self {
+            faults: self.faults + other.faults,
+            fetched_pages: self.fetched_pages + other.fetched_pages,
+            evicted_pages: self.evicted_pages + other.evicted_pages,
+            resends: self.resends + other.resends,
+            failovers: self.failovers + other.failovers,
+            fragments: self.fragments + other.fragments,
+            dead_peers: self.dead_peers + other.dead_peers,
+            late_answers: self.late_answers + other.late_answers,
+            refused_messages: self.refused_messages + other.refused_messages,
+            restarts: self.restarts + other.restarts,
+        }
+    }
+
+    /// Each count with its name.
+    #[must_use]
+    pub const fn named(&self) -> [(&'static str, u64); 10] {
+        [
+            ("faults", self.faults),
+            ("fetched pages", self.fetched_pages),
+            ("evicted pages", self.evicted_pages),
+            ("resends", self.resends),
+            ("failovers", self.failovers),
+            ("fragments", self.fragments),
+            ("dead peers", self.dead_peers),
+            ("late answers", self.late_answers),
+            ("refused messages", self.refused_messages),
+            ("restarts", self.restarts),
+        ]
+    }
+
+    pub(crate) fn add(&mut self, stats: NodeStats) {
+        self.faults += stats.faults;
+        self.fetched_pages += stats.fetched_pages;
+        self.evicted_pages += stats.evicted_pages;
+        self.resends += stats.resends;
+        self.failovers += stats.failovers;
+        self.fragments += stats.fragments;
+        self.dead_peers += stats.dead_peers;
+        self.late_answers += stats.late_answers;
+        self.refused_messages += stats.refused_messages;
+    }
+}
