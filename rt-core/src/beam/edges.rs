@@ -29,7 +29,7 @@ pub(super) struct EdgesByLane {
     margins: [[f32; LANES]; 2],
 }
 
-/// Points against triangles, lane by lane.
+/// Points against triangles, or spheres, lane by lane.
 #[derive(Clone, Copy)]
 pub(super) struct Covered<F> {
     /// Lanes that may be covered; where not even `sure`, a ray has to decide.

@@ -196,17 +196,7 @@ impl<M: SceneMemory, K: Kinds> Pixels<'_, M, K> {
         let (x, y) = first_pixel(block);
         let (x, y) = (s.add(s.load(&COLUMNS), s.splat(x as f32)), s.add(s.load(&ROWS), s.splat(y as f32)));
         let covered = one.cover(s, (x, y), triangles.depth_epsilon);
-        let place = self.winners.place(corners);
-        let found = &mut self.blocks[block];
-        let (low, high) = (s.load(&found.low), s.load(&found.high));
-        let candidates = covered.candidates & s.le(low, covered.high) & within;
-        let wins = candidates & covered.sure & s.lt(high, covered.low);
-        s.store(s.select(wins, covered.low, low), &mut found.low);
-        s.store(s.select(wins, covered.high, high), &mut found.high);
-        let places = bytemuck::cast_mut::<_, [f32; LANES]>(&mut found.place);
-        s.store(s.select(wins, s.splat(f32::from_bits(place)), s.load(places)), places);
-        self.mark(block, wins);
-        let mut open = candidates & !wins;
+        let mut open = self.settle(s, &covered, corners, (block, within));
         while open != 0 {
             self.decide((block, open.trailing_zeros() as usize), triangles.cluster, corners);
             open &= open - 1;

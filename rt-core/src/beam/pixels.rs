@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 
+use super::edges::Covered;
 use super::far_triangles::FarSeen;
 use super::pixel_tests::Lists;
 use super::projection::Projection;
@@ -293,6 +294,28 @@ impl<'a, M: SceneMemory, K: Kinds> Pixels<'a, M, K> {
         found.high[lane] = high;
         found.place[lane] = place;
         self.mark(block, 1 << lane);
+    }
+
+    /// Has the pixels of a block show what certainly covers them nearest. Gives those in doubt.
+    #[inline(always)]
+    pub(super) fn settle<S: Simd>(
+        &mut self,
+        s: S,
+        covered: &Covered<S::F>,
+        named: Corners,
+        (block, within): (usize, Mask),
+    ) -> Mask {
+        let place = self.winners.place(named);
+        let found = &mut self.blocks[block];
+        let (low, high) = (s.load(&found.low), s.load(&found.high));
+        let candidates = covered.candidates & s.le(low, covered.high) & within;
+        let wins = candidates & covered.sure & s.lt(high, covered.low);
+        s.store(s.select(wins, covered.low, low), &mut found.low);
+        s.store(s.select(wins, covered.high, high), &mut found.high);
+        let places = bytemuck::cast_mut::<_, [f32; LANES]>(&mut found.place);
+        s.store(s.select(wins, s.splat(f32::from_bits(place)), s.load(places)), places);
+        self.mark(block, wins);
+        candidates & !wins
     }
 
     /// Notes that pixels of a block, if any, show a triangle of the cluster under test.

@@ -13,6 +13,7 @@
 //! Where the origin lies outside by more than the same doubt, the sphere is met at the first root, and that has the sign of
 //! `m`; where it lies inside, at the second.
 
+use super::edges::Covered;
 use super::spheres::Balls;
 use crate::simd::{Mask, Simd, each};
 
@@ -29,16 +30,6 @@ pub(super) struct Outline<F> {
     /// Lanes in which the origin lies inside without doubt, and outside.
     pub(super) inside: Mask,
     pub(super) outside: Mask,
-}
-
-/// What is known about rays and spheres, lane by lane.
-pub(super) struct Covered<F> {
-    /// Lanes in which the ray may meet the sphere, and those in which it does.
-    pub(super) candidates: Mask,
-    pub(super) sure: Mask,
-    /// Least and greatest inverse of the ray's parameter.
-    pub(super) low: F,
-    pub(super) high: F,
 }
 
 impl<F: Copy> Outline<F> {
