@@ -225,8 +225,8 @@ pub fn bookkeeping_bytes(page_count: u32, slots: u32) -> u64 {
     u64::from(page_count) * PER_PAGE_BYTES + u64::from(slots) * PER_SLOT_BYTES
 }
 
-/// The state of a page, and its entry in the table of `soft`.
-const PER_PAGE_BYTES: u64 = size_of::<PageEntry>() as u64 + 4;
+/// The state of a page, its entry in the table of `soft`, and its next use where hints foretell it.
+const PER_PAGE_BYTES: u64 = size_of::<PageEntry>() as u64 + 4 + 4;
 
 /// The state of a slot, and its pins and mark with `soft`.
 const PER_SLOT_BYTES: u64 = size_of::<SlotEntry>() as u64 + 5;

@@ -25,13 +25,16 @@
 //! Installed once per process for SIGBUS and SIGSEGV, with the handlers it found kept and called for whatever is not
 //! ours: a fault outside every region, a write, a signal that somebody sent. A null pointer and a stack overflow die
 //! as they always did. It runs on a stack of its own, keeps the error number, and makes only these calls, none of
-//! which allocates or locks: `futex`, `clock_gettime`, `getpid`, `ioctl`, `mmap`, `madvise`, `process_madvise`,
-//! `pwrite`, `write` (to complain), and what the thread's [`Transport`](dsm_core::transport::Transport) makes.
+//! which allocates or locks: `futex`, `clock_gettime`, `getpid`, `ioctl`, `mmap`, `mprotect`, `madvise`,
+//! `process_madvise`, `pwrite`, `write` (to complain), and what the thread's [`Transport`](dsm_core::transport::Transport) makes.
 //!
 //! Under `--cfg loom` the crate shrinks to the lock and the words that threads wait on, which the model checker then
 //! drives.
 
-#![cfg_attr(loom, allow(dead_code, reason = "most of what the lock and the words are for is not there"))]
+#![cfg_attr(
+    all(loom, not(test)),
+    expect(dead_code, reason = "most of what the lock and the words are for is not there")
+)]
 
 mod lock;
 mod sync;

@@ -20,6 +20,7 @@ use crate::area::Area;
 use crate::backend::{Backend, Record};
 use crate::failure::{PageFailure, Reason};
 use crate::foresight::{Ahead, Foresight};
+use crate::lent::Lent;
 use crate::lock::{Guard, Lock};
 use crate::sys::{self, Errno};
 use crate::words::{Ticket, Words};
@@ -75,13 +76,7 @@ struct FailureCell {
 }
 
 /// Storage lent to a node that lives beside it.
-#[derive(Debug)]
-struct LentStorage {
-    pages: *mut [PageEntry],
-    slots: *mut [SlotEntry],
-    peers: *mut [PeerEntry],
-    requests: *mut [RequestEntry],
-}
+type LentStorage = (Lent<PageEntry>, Lent<SlotEntry>, Lent<PeerEntry>, Lent<RequestEntry>);
 
 impl Paging {
     /// Connects a backend that works on `area` with a state machine that has `slot_count` slots.
@@ -95,7 +90,8 @@ impl Paging {
         (reference, prefetches): (ReferenceSource, bool),
     ) -> Result<Self, ConfigError> {
         let config = with_watermarks(config, slot_count);
-        let (storage, lent) = LentStorage::lend(&config.placement, slot_count);
+        // SAFETY: `node` is declared, and so dropped, before the storage.
+        let (storage, lent) = unsafe { lend(&config.placement, slot_count) };
         let node = Node::new(config, storage, Policy::new(policy.0, policy.1))?;
         let is_told = reference == ReferenceSource::Hints && slot_count > 0;
         let foresight = is_told.then(|| Lock::new(Foresight::new(config.placement.page_count())));
@@ -394,44 +390,22 @@ impl Work<'_> {
     }
 }
 
-impl LentStorage {
-    fn lend(placement: &Stripes, slot_count: u32) -> (Storage<'static>, Self) {
-        let owners = usize::from(placement.owner_count());
-        let pages = Box::into_raw(vec![PageEntry::EMPTY; placement.page_count() as usize].into_boxed_slice());
-        let slots = Box::into_raw(vec![SlotEntry::EMPTY; slot_count as usize].into_boxed_slice());
-        let peers = Box::into_raw(vec![PeerEntry::EMPTY; owners].into_boxed_slice());
-        let requests = Box::into_raw(vec![RequestEntry::EMPTY; REQUESTS].into_boxed_slice());
-        // SAFETY: just made, lent once, and given back by `drop` only after the node is gone.
-        let lent_pages = unsafe { &mut *pages };
-        // SAFETY: as above.
-        let lent_slots = unsafe { &mut *slots };
-        // SAFETY: as above.
-        let lent_peers = unsafe { &mut *peers };
-        // SAFETY: as above.
-        let lent_requests = unsafe { &mut *requests };
-        let storage =
-            Storage { pages: lent_pages, slots: lent_slots, peers: lent_peers, requests: lent_requests };
-        (storage, Self { pages, slots, peers, requests })
-    }
+/// Lends a node its storage.
+///
+/// # Safety
+/// The node is dropped before the second of the pair.
+unsafe fn lend(placement: &Stripes, slot_count: u32) -> (Storage<'static>, LentStorage) {
+    let owners = usize::from(placement.owner_count());
+    // SAFETY: this function's contract is that of `Lent::lend`.
+    let (pages, lent_pages) = unsafe { Lent::lend(vec![PageEntry::EMPTY; placement.page_count() as usize]) };
+    // SAFETY: as above.
+    let (slots, lent_slots) = unsafe { Lent::lend(vec![SlotEntry::EMPTY; slot_count as usize]) };
+    // SAFETY: as above.
+    let (peers, lent_peers) = unsafe { Lent::lend(vec![PeerEntry::EMPTY; owners]) };
+    // SAFETY: as above.
+    let (requests, lent_requests) = unsafe { Lent::lend(vec![RequestEntry::EMPTY; REQUESTS]) };
+    (Storage { pages, slots, peers, requests }, (lent_pages, lent_slots, lent_peers, lent_requests))
 }
-
-impl Drop for LentStorage {
-    fn drop(&mut self) {
-        // SAFETY: made by `Box::into_raw`; the node that borrowed it is a field declared before this one.
-        drop(unsafe { Box::from_raw(self.pages) });
-        // SAFETY: as above.
-        drop(unsafe { Box::from_raw(self.slots) });
-        // SAFETY: as above.
-        drop(unsafe { Box::from_raw(self.peers) });
-        // SAFETY: as above.
-        drop(unsafe { Box::from_raw(self.requests) });
-    }
-}
-
-// SAFETY: the pointers are only kept for `drop`, which any thread may do.
-unsafe impl Send for LentStorage {}
-// SAFETY: `&LentStorage` gives access to nothing.
-unsafe impl Sync for LentStorage {}
 
 /// Sets how many victims leave at a time, and how early.
 ///
