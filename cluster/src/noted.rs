@@ -11,8 +11,9 @@ pub struct Notes {
     page_shift: u32,
     /// The page of the last record, `u64::MAX` before the first.
     last: Cell<u64>,
-    /// A bit for each page that is in `pages`.
+    /// A bit for each page that is in `pages`; none where every touch counts.
     seen: Vec<Cell<u64>>,
+    is_once: bool,
     pages: RefCell<Vec<PageId>>,
 }
 
@@ -35,15 +36,22 @@ impl Notes {
             page_shift: page_bytes.trailing_zeros(),
             last: Cell::new(u64::MAX),
             seen: vec![Cell::new(0); words],
+            is_once: true,
             pages: RefCell::new(Vec::new()),
         }
     }
 
-    /// Gives the pages that were used since the last call to `use_pages`, each once, in the order of their first use.
+    /// Notes every touch: a page is there again each time it is used after another.
+    #[must_use]
+    pub fn of_every_touch(page_bytes: u32) -> Self {
+        Self { is_once: false, ..Self::new(page_bytes, 0) }
+    }
+
+    /// Gives the pages that were used since the last call to `use_pages`, in the order of their (first) use.
     pub fn take(&self, use_pages: impl FnOnce(&[PageId])) {
         let mut pages = self.pages.borrow_mut();
         use_pages(&pages);
-        for page in pages.drain(..) {
+        for page in pages.drain(..).filter(|_| self.is_once) {
             self.seen[page.index() / 64].set(0);
         }
         self.last.set(u64::MAX);
@@ -61,6 +69,9 @@ impl Notes {
     fn note(&self, page: u64) {
         self.last.set(page);
         let Ok(number) = u32::try_from(page) else { return };
+        if !self.is_once {
+            return self.pages.borrow_mut().push(PageId(number));
+        }
         let Some(word) = self.seen.get(PageId(number).index() / 64) else { return };
         let bit = 1 << (page % 64);
         if word.get() & bit == 0 {
@@ -82,6 +93,8 @@ impl<M: SceneMemory> SceneMemory for Noted<'_, M> {
         = M::Record<'b>
     where
         Self: 'b;
+
+    const HOLDS_NOTHING: bool = M::HOLDS_NOTHING;
 
     #[inline]
     fn record(&self, offset: u64, length: usize) -> Option<Self::Record<'_>> {
@@ -123,5 +136,18 @@ mod tests {
         assert!(memory.record(0, 16).is_some());
         assert_eq!(taken(), [0]);
         assert!(taken().is_empty());
+    }
+
+    #[test]
+    fn every_touch_is_noted_where_every_one_counts() {
+        let bytes = vec![0; 8 * 4096];
+        let notes = Notes::of_every_touch(4096);
+        let memory = Noted::new(Flat::new(&bytes), &notes);
+        for page in [3, 3, 5, 3] {
+            assert!(memory.record(page * 4096, 16).is_some());
+        }
+        let mut taken = Vec::new();
+        notes.take(|pages| taken.extend(pages.iter().map(|page| page.0)));
+        assert_eq!(taken, [3, 5, 3]);
     }
 }

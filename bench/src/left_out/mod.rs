@@ -5,14 +5,13 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`program`] | building `left-out`, a renderer with chosen features, and the size of its code |
-//! | [`pages`] | memory that notes which pages are touched |
 
-mod pages;
 mod program;
 
 use std::time::Instant;
 
 use anyhow::{Result, ensure};
+use memsavvy::noted::{Noted, Notes};
 use rt_core::camera::OrbitPlace;
 use rt_core::{
     Flat, Frame, Kernel, Orbit, SceneMemory, SceneNeeds, SceneView, TILE_SIZE, Tiles, render_tile,
@@ -26,7 +25,6 @@ use crate::plot::{Axis, Chart, Line, Plot};
 use crate::quiet;
 use crate::spread::Spread;
 use crate::table::{Cell, Table};
-use pages::Touched;
 use program::Programs;
 
 pub(crate) const EXPERIMENT: Experiment = Experiment {
@@ -155,9 +153,12 @@ fn round(scene: &SceneView<Flat<'_>>, frame: &Frame) -> [f64; 3] {
 }
 
 fn pages_touched(image: &[u8], frame: &Frame, way: &Way) -> Result<u64> {
-    let scene = way.of(SceneView::new(Touched::new(image, PAGE_BYTES))?);
+    let notes = Notes::new(PAGE_BYTES, image.len() as u64);
+    let scene = way.of(SceneView::new(Noted::new(Flat::new(image), &notes))?);
     draw(&scene, &way.frame(frame));
-    Ok(scene.memory().count())
+    let mut count = 0;
+    notes.take(|pages| count = pages.len() as u64);
+    Ok(count)
 }
 
 /// Draws a picture with the fastest kernel; a sum of its bytes by place.

@@ -1,6 +1,5 @@
 //! Drawing a path of cameras and writing down every page that is read.
 
-use core::cell::{Cell, RefCell};
 use std::fs::File;
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::FileExt;
@@ -9,9 +8,10 @@ use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use rt_core::camera::OrbitPlace;
 use rt_core::schedule::Static;
-use rt_core::{Flat, Frame, Kernel, Orbit, SceneMemory, SceneView, TILE_SIZE, Tiles, render_tile};
+use rt_core::{Flat, Frame, Kernel, Orbit, SceneView, TILE_SIZE, Tiles, render_tile};
 
 use super::{NodeFrame, Trace};
+use crate::noted::{Noted, Notes};
 use crate::progress::FrameBar;
 use crate::run::Source;
 use crate::size::PictureSize;
@@ -67,16 +67,17 @@ pub fn record(session: &Session) -> Result<Trace> {
         .with_context(|| format!("cannot hold {name} in memory"))?;
     let page_bytes = session.page_bytes.unwrap_or(header.page_bytes);
     let page_count = u32::try_from(header.image_bytes.div_ceil(page_bytes.into()))?;
-    let scene = SceneView::new(Watched::new(&bytes, page_bytes))?;
+    let notes = Notes::of_every_touch(page_bytes);
+    let scene = SceneView::new(Noted::new(Flat::new(&bytes), &notes))?;
     // The header is read once in a session, not in a tile.
-    scene.memory().take_touches();
+    notes.take(|_| ());
     let orbit = Orbit::around(&header.view);
     let bar = FrameBar::new(quiet, frames);
     let mut trace =
         Trace { page_bytes, page_count, nodes, size: [size.width, size.height], frames: Vec::new() };
     for number in 0..frames {
         let frame = session.frame(&orbit, number)?;
-        trace.frames.push((0..nodes).map(|node| session.node_frame(&scene, &frame, node)).collect());
+        trace.frames.push((0..nodes).map(|node| session.node_frame(&scene, &notes, &frame, node)).collect());
         bar.advance();
     }
     Ok(trace)
@@ -94,7 +95,13 @@ impl Session {
             .with_context(|| format!("no camera at radius {radius} of this scene"))
     }
 
-    fn node_frame(&self, scene: &SceneView<Watched<'_>>, frame: &Frame, node: u16) -> NodeFrame {
+    fn node_frame(
+        &self,
+        scene: &SceneView<Noted<'_, Flat<'_>>>,
+        notes: &Notes,
+        frame: &Frame,
+        node: u16,
+    ) -> NodeFrame {
         let tiles = Tiles::of(frame.width, frame.height);
         let kernel = self.kernel.unwrap_or_else(Kernel::fastest);
         let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
@@ -102,59 +109,9 @@ impl Session {
         for id in Static::new(tiles, self.nodes.into()).drawing_order(node.into(), frame.number) {
             let Some(tile) = tiles.get(id) else { continue };
             render_tile(scene, frame, tile, kernel, &mut pixels[..tile.pixels()], &mut ());
-            drawn.push(id, &scene.memory().take_touches());
+            notes.take(|pages| drawn.push(id, &pages.iter().map(|page| page.0).collect::<Vec<_>>()));
         }
         drawn
-    }
-}
-
-/// A scene in memory that writes down which pages are read.
-#[derive(Debug)]
-struct Watched<'a> {
-    memory: Flat<'a>,
-    page_shift: u32,
-    /// The page that was touched last, `u32::MAX` before the first.
-    last: Cell<u32>,
-    touches: RefCell<Vec<u32>>,
-}
-
-impl<'a> Watched<'a> {
-    const fn new(bytes: &'a [u8], page_bytes: u32) -> Self {
-        let page_shift = page_bytes.trailing_zeros();
-        Self {
-            memory: Flat::new(bytes),
-            page_shift,
-            last: Cell::new(u32::MAX),
-            touches: RefCell::new(Vec::new()),
-        }
-    }
-
-    /// The touches since the last call.
-    fn take_touches(&self) -> Vec<u32> {
-        self.last.set(u32::MAX);
-        self.touches.take()
-    }
-}
-
-impl SceneMemory for Watched<'_> {
-    type Record<'b>
-        = &'b [u8]
-    where
-        Self: 'b;
-
-    fn record(&self, offset: u64, length: usize) -> Option<&[u8]> {
-        let record = self.memory.record(offset, length)?;
-        // No record crosses a page.
-        if let Ok(page) = u32::try_from(offset >> self.page_shift)
-            && self.last.replace(page) != page
-        {
-            self.touches.borrow_mut().push(page);
-        }
-        Some(record)
-    }
-
-    fn length(&self) -> u64 {
-        self.memory.length()
     }
 }
 
