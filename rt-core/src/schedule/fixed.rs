@@ -1,5 +1,6 @@
-//! Which node draws which tile.
+//! Tiles dealt by a fixed rule, the same in every frame.
 
+use super::curve::along_curve;
 use crate::tile::{TileId, Tiles};
 
 /// A fixed assignment of tiles to nodes, the same in every frame.
@@ -43,15 +44,7 @@ impl Static {
     /// still there. In rows, and always forwards, a cache of 16 % misses up to twice as often; see `bench -- replacement`.
     pub fn drawing_order(&self, node: u32, frame: u32) -> impl Iterator<Item = TileId> + use<> {
         let schedule = *self;
-        let (columns, rows) = (self.tiles.columns(), self.tiles.rows());
-        let order = columns.max(rows).next_power_of_two().trailing_zeros();
-        let length = 1_u64 << (2 * order);
-        (0..length).filter_map(move |step| {
-            let place = if frame.is_multiple_of(2) { step } else { length - 1 - step };
-            let (x, y) = on_hilbert_curve(order, place);
-            let id = TileId(y * columns + x);
-            (x < columns && y < rows && schedule.node_of(id) == node).then_some(id)
-        })
+        along_curve(self.tiles, !frame.is_multiple_of(2)).filter(move |&tile| schedule.node_of(tile) == node)
     }
 
     /// The tiles that `node` draws, row by row.
@@ -59,34 +52,6 @@ impl Static {
         let schedule = *self;
         self.tiles.ids().filter(move |&tile| schedule.node_of(tile) == node)
     }
-}
-
-/// Where place `place` of the Hilbert curve through a square of `2^order` by `2^order` lies.
-///
-/// Two bits of the place, the highest first, choose a quarter; each quarter holds the curve mirrored and turned so that
-/// the ends meet. Hilbert, "Ueber die stetige Abbildung einer Linie auf ein Flaechenstueck", 1891.
-const fn on_hilbert_curve(order: u32, place: u64) -> (u32, u32) {
-    let (mut x, mut y) = (0, 0);
-    let mut level = 0;
-    while level < order {
-        let quarter = (place >> (2 * level)) & 3;
-        let (right, down) = (quarter >> 1 == 1, (quarter ^ (quarter >> 1)) & 1 == 1);
-        let side = 1_u32 << level;
-        if !down {
-            if right {
-                (x, y) = (side - 1 - x, side - 1 - y);
-            }
-            (x, y) = (y, x);
-        }
-        if right {
-            x += side;
-        }
-        if down {
-            y += side;
-        }
-        level += 1;
-    }
-    (x, y)
 }
 
 /// The number closest to `nodes` times the golden section that shares no divisor with `nodes`.
