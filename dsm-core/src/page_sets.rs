@@ -51,7 +51,8 @@ pub struct PageSets<'s> {
     storage: PageSetStorage<'s>,
     /// The half of the entries that this frame is recorded in.
     half: usize,
-    used: u32,
+    /// Entries in use of either half.
+    used: [u32; 2],
     frame_start: u32,
     frame_end: u32,
     unrecorded: u64,
@@ -62,7 +63,7 @@ impl<'s> PageSets<'s> {
     #[must_use]
     pub fn new(storage: PageSetStorage<'s>) -> Self {
         storage.tiles.fill(TileEntry::EMPTY);
-        Self { storage, half: 0, used: 0, frame_start: 0, frame_end: 0, unrecorded: 0 }
+        Self { storage, half: 0, used: [0; 2], frame_start: 0, frame_end: 0, unrecorded: 0 }
     }
 
     /// A frame begins whose tiles will be drawn in this order. What was recorded becomes the last frame.
@@ -71,7 +72,7 @@ impl<'s> PageSets<'s> {
     /// times, the last call has the first use.
     pub fn begin_frame(&mut self, order: &[u32], mut forecast: impl FnMut(PageId, u32)) {
         self.half ^= 1;
-        self.used = 0;
+        self.used[self.half] = 0;
         self.frame_start = self.frame_end;
         self.frame_end = self.frame_start.wrapping_add(u32::try_from(order.len()).unwrap_or(u32::MAX));
         let half = self.half;
@@ -88,13 +89,44 @@ impl<'s> PageSets<'s> {
     /// Calls `forecast` with each page that it touched in the last frame, and the place of the tile that will touch it
     /// next in this one, if there is one.
     pub fn finish_tile(&mut self, tile: u32, pages: &[PageId], mut forecast: impl FnMut(PageId, u32)) {
-        self.record(tile, pages);
+        self.record_in(self.half, tile, pages);
         let Some(entry) = self.storage.tiles.get(tile as usize) else { return };
         for set in self.entries(entry.sets[self.half ^ 1], self.half ^ 1) {
             if set.next_use != entry.place {
                 forecast(PageId(set.page), set.next_use);
             }
         }
+    }
+
+    /// A tile comes to this node after the frame has begun, from one where it touched these pages in the last frame. With no
+    /// pages, what it touched here stands. It is taken to be drawn after all others.
+    ///
+    /// Calls `forecast` with those of its pages that nothing was foretold of in this frame.
+    pub fn adopt_tile(&mut self, tile: u32, pages: &[PageId], mut forecast: impl FnMut(PageId, u32)) {
+        let place = self.frame_end;
+        self.frame_end = place.wrapping_add(1);
+        let half = self.half ^ 1;
+        if !pages.is_empty() {
+            self.record_in(half, tile, pages);
+        }
+        let Some(entry) = self.storage.tiles.get_mut(tile as usize) else { return };
+        entry.place = place;
+        let range = self.range(self.storage.tiles[tile as usize].sets[half], half);
+        let frame = place.wrapping_sub(self.frame_start);
+        for entry in &mut self.storage.entries[range] {
+            entry.next_use = place;
+            let Some(next_use) = self.storage.next_uses.get_mut(entry.page as usize) else { continue };
+            if next_use.wrapping_sub(self.frame_start) >= frame {
+                *next_use = place;
+                forecast(PageId(entry.page), place);
+            }
+        }
+    }
+
+    /// Whether `tile` has a place in this frame.
+    #[must_use]
+    pub fn is_placed(&self, tile: u32) -> bool {
+        self.place_of(tile).wrapping_sub(self.frame_start) < self.frame_end.wrapping_sub(self.frame_start)
     }
 
     /// The pages that `tile` touched in the last frame.
@@ -139,9 +171,10 @@ impl<'s> PageSets<'s> {
         }
     }
 
-    fn record(&mut self, tile: u32, pages: &[PageId]) {
-        let half = self.half;
-        let room = self.half_length() - self.used as usize;
+    /// Notes what a tile touched in one of the two frames.
+    fn record_in(&mut self, half: usize, tile: u32, pages: &[PageId]) {
+        let start = self.used[half];
+        let room = self.half_length() - start as usize;
         let Some(entry) = self.storage.tiles.get_mut(tile as usize) else { return };
         let count = match u32::try_from(pages.len()) {
             Ok(count) if pages.len() <= room => count,
@@ -150,12 +183,12 @@ impl<'s> PageSets<'s> {
                 return;
             }
         };
-        entry.sets[half] = Set { start: self.used, count };
-        let range = self.range(Set { start: self.used, count }, half);
+        entry.sets[half] = Set { start, count };
+        let range = self.range(Set { start, count }, half);
         for (entry, page) in self.storage.entries[range].iter_mut().zip(pages) {
             *entry = SetEntry { page: page.0, next_use: 0 };
         }
-        self.used += count;
+        self.used[half] += count;
     }
 
     fn entries(&self, set: Set, half: usize) -> &[SetEntry] {
@@ -248,6 +281,25 @@ mod tests {
             assert_eq!(sets.unrecorded(), 1);
             let told = draw(sets, &[0, 1, 7], &[&[], &[], &[]]);
             assert_eq!(told.iter().map(|told| told.1).collect::<heapless::Vec<_, 8>>(), [1, 2, 3, 4]);
+        });
+    }
+
+    #[test]
+    fn a_tile_that_comes_late_brings_what_it_touched_elsewhere() {
+        with_sets(|sets| {
+            draw(sets, &[0, 1], &[&[1, 2], &[3]]);
+            sets.begin_frame(&[0], |_, _| {});
+            let mut told = heapless::Vec::<_, 8>::new();
+            sets.adopt_tile(2, &[PageId(2), PageId(7)], |page, when| told.push((page.0, when)).unwrap());
+            // Page 2 is foretold for tile 0 already, at place 2.
+            assert_eq!(told, [(7, 3)]);
+            assert_eq!(sets.pages_of(2).map(|page| page.0).collect::<heapless::Vec<_, 4>>(), [2, 7]);
+            // Tile 1 was drawn here before; who gives it back knows no more.
+            sets.adopt_tile(1, &[], |page, when| told.push((page.0, when)).unwrap());
+            assert_eq!(told, [(7, 3), (3, 4)]);
+            assert!(sets.is_placed(0) && sets.is_placed(1) && sets.is_placed(2) && sets.frame_end() == 5);
+            sets.begin_frame(&[0], |_, _| {});
+            assert!(sets.is_placed(0) && !sets.is_placed(1));
         });
     }
 

@@ -16,6 +16,8 @@ pub(crate) struct Foresight {
     /// Places of the tiles that are being drawn.
     under_way: Vec<u32>,
     frame_start: u32,
+    /// The place of the first tile under way when one was last begun.
+    now: u32,
 }
 
 /// Pages to bring before a tile starts, at most a batch of victims.
@@ -38,17 +40,31 @@ impl Foresight {
         let (next_uses, lent_uses) = unsafe { Lent::lend(vec![0; page_count as usize]) };
         let sets = PageSets::new(PageSetStorage { entries, tiles, next_uses });
         let storage = (lent_entries, lent_tiles, lent_uses);
-        Self { sets, _storage: storage, under_way: Vec::new(), frame_start: 0 }
+        Self { sets, _storage: storage, under_way: Vec::new(), frame_start: 0, now: 0 }
     }
 
     pub(crate) fn begin_frame(&mut self, order: &[u32], node: &mut Node<'static>) {
         self.frame_start = self.sets.frame_end();
+        self.now = self.frame_start;
         self.sets.begin_frame(order, |page, next_use| node.handle_forecast(page, next_use));
         self.tell_time(node);
     }
 
+    /// A tile comes from another node, where it touched these pages in the last frame.
+    pub(crate) fn adopt_tile(&mut self, tile: u32, pages: &[PageId], node: &mut Node<'static>) {
+        self.sets.adopt_tile(tile, pages, |page, next_use| node.handle_forecast(page, next_use));
+    }
+
+    /// The pages that a tile touched in the last frame.
+    pub(crate) fn pages_of(&self, tile: u32) -> impl Iterator<Item = PageId> {
+        self.sets.pages_of(tile)
+    }
+
     pub(crate) fn begin_tile(&mut self, tile: u32, node: &mut Node<'static>) {
-        self.under_way.push(self.sets.place_of(tile));
+        // A tile of a frame that is over has no place in this one.
+        if self.sets.is_placed(tile) {
+            self.under_way.push(self.sets.place_of(tile));
+        }
         self.tell_time(node);
     }
 
@@ -69,9 +85,9 @@ impl Foresight {
     }
 
     /// The first tile that is still being drawn is the present: its pages are not of the past.
-    fn tell_time(&self, node: &mut Node<'static>) {
+    fn tell_time(&mut self, node: &mut Node<'static>) {
         let places = self.under_way.iter().copied();
-        let now = places.min_by_key(|place| place.wrapping_sub(self.frame_start)).unwrap_or(self.frame_start);
-        node.handle_clock(now, self.sets.frame_end());
+        self.now = places.min_by_key(|place| place.wrapping_sub(self.frame_start)).unwrap_or(self.now);
+        node.handle_clock(self.now, self.sets.frame_end());
     }
 }

@@ -137,6 +137,18 @@ impl Paging {
         }
     }
 
+    /// A tile comes from another node, where it touched these pages in the last frame.
+    pub(crate) fn adopt_tile(&self, tile: u32, pages: &[PageId]) {
+        if let Some(foresight) = &self.foresight {
+            foresight.lock().adopt_tile(tile, pages, &mut self.node.lock());
+        }
+    }
+
+    /// The pages that a tile touched here in the last frame.
+    pub(crate) fn pages_of(&self, tile: u32) -> Vec<PageId> {
+        self.foresight.as_ref().map_or(Vec::new(), |foresight| foresight.lock().pages_of(tile).collect())
+    }
+
     /// A thread begins to draw a tile. Gives the pages to bring before it does, and has slots made free for them.
     pub(crate) fn begin_tile(&self, tile: u32) -> (Ahead, Work<'_>) {
         let mut ahead = Ahead::new();

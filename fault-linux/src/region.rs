@@ -173,6 +173,20 @@ impl Region {
         }
     }
 
+    /// A tile comes to this node after the frame has begun, from one where it touched these pages in the last frame; they
+    /// are brought before it starts. Without pages, what it touched here before stands.
+    pub fn adopt_tile(&self, tile: u32, pages: &[PageId]) {
+        if let Some(paging) = self.paging() {
+            paging.adopt_tile(tile, pages);
+        }
+    }
+
+    /// The pages that a tile touched here in the last frame, as far as hints have told; none otherwise.
+    #[must_use]
+    pub fn pages_of(&self, tile: u32) -> Vec<PageId> {
+        self.paging().map_or(Vec::new(), |paging| paging.pages_of(tile))
+    }
+
     /// Length of a page in bytes.
     #[must_use]
     pub fn page_bytes(&self) -> usize {
