@@ -10,6 +10,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`paging`] | a paging cluster: configuration, workloads, nodes, the oracle, the report |
+//! | [`balance`] | a cluster that balances its tiles: configuration, nodes, display, report |
 //! | [`verify`] | trying many seeds, and telling which one failed |
 //! | [`cluster`] | the event core: any state machine that is an [`Actor`](cluster::Actor), one for each node |
 //! | [`network`] | cards, links and queues |
@@ -89,6 +90,7 @@
 //! ```
 #![forbid(unsafe_code)]
 
+pub mod balance;
 pub mod chance;
 pub mod cluster;
 pub mod fault;
