@@ -13,6 +13,7 @@ use clap::{Args, Parser, Subcommand};
 use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use fault_linux::BackendKind;
 use rt_core::image::{PAGE_BYTES_MAX, PAGE_BYTES_MIN};
+use rt_core::schedule::Balancer;
 use rt_core::{Kernel, Solver};
 use scene::builtin::BuiltIn;
 use scene::volume::StoredType;
@@ -140,6 +141,10 @@ struct Cluster {
     /// How pages travel between the processes
     #[arg(long, value_name = "NAME", value_enum, default_value_t = TransportKind::Shm)]
     transport: TransportKind,
+    /// How tiles come to nodes: static, demand (from a central queue; demand:K sends K tiles ahead), steal (from a random node,
+    /// one at a time) or steal-near (half of what is too much, from and to nodes that use the same pages)
+    #[arg(long, value_name = "NAME", default_value_t = Balancer::StealNear)]
+    balance: Balancer,
     /// Seconds after which a fault that nobody serves, or a process that says nothing, ends the run
     #[arg(long, value_name = "SECONDS", default_value = "5", value_parser = seconds)]
     deadline: Duration,
@@ -332,6 +337,7 @@ impl Render {
             prefetch: !cluster.no_prefetch,
             kernel: cluster.kernel.0,
             transport: cluster.transport,
+            balance: cluster.balance,
             size: view.size,
             frames: view.frames,
             radius: view.radius,

@@ -17,10 +17,10 @@ pub(crate) enum Order {
     SetUp(Box<SetUp>),
     /// Every page is in place; you may fetch from others.
     Go,
-    /// Draw your tiles of this frame.
+    /// A frame begins; its tiles are dealt after this.
     Draw(Frame),
-    /// Draw these tiles of this frame besides: whoever was to draw them is dead.
-    DrawTiles(Frame, Vec<TileId>),
+    /// The display's part of the balance: which tiles are whose.
+    Balance(Vec<u8>),
     /// The process of this number is dead; ask it for nothing.
     Down(u16),
     /// Report and end.
@@ -36,8 +36,8 @@ pub(crate) enum News {
     Alive,
     /// Some tiles of a frame.
     Tiles(TileBatch),
-    /// One thread has sent all that it has drawn for one order, of this frame.
-    Drawn(u32),
+    /// A node's part of the balance, for the display.
+    Balance(Vec<u8>),
     /// I have to give up.
     Failed(String),
     /// What I have counted; the last packet.
@@ -72,6 +72,12 @@ pub(crate) struct SetUp {
     /// Messages lost on purpose, in a thousand, and the seed of which.
     pub(crate) lose_per_mille: u32,
     pub(crate) seed: u64,
+    /// Mailboxes that come with the plan: one for each node, where they take tiles from each other, else none.
+    pub(crate) mailboxes: u16,
+    /// How tiles come to nodes, by name.
+    pub(crate) balance: String,
+    /// The picture.
+    pub(crate) size: [u32; 2],
     /// Tiles sent at a time at most; fewer than a packet holds for tests that count them.
     pub(crate) batch_tiles: u16,
 }
@@ -95,19 +101,30 @@ pub enum BindTo {
     None,
 }
 
-/// The order of the files that come with [`Order::SetUp`]: the image, the pages of each owner, the inboxes of each.
+/// The order of the files that come with [`Order::SetUp`]: the image, the pages of each owner, the inboxes of each, the
+/// mailboxes of the nodes. A node's own letters come last.
 #[derive(Debug)]
 pub(crate) struct Files<T> {
     pub(crate) image: T,
     pub(crate) pages: Vec<T>,
     pub(crate) inboxes: Vec<T>,
+    pub(crate) mailboxes: Vec<T>,
 }
 
-/// Tiles of one frame, packed into a packet, and what was counted while they were drawn.
+/// Tiles of one frame, packed into a packet, each with what was counted while it was drawn.
 #[derive(Debug, Default)]
 pub(crate) struct TileBatch {
-    drawn: Drawn,
+    frame: u32,
     bytes: Vec<u8>,
+}
+
+/// A tile out of a batch.
+#[derive(Debug)]
+pub(crate) struct BatchedTile<'a> {
+    pub(crate) id: TileId,
+    pub(crate) tile: Tile,
+    pub(crate) counts: TileCounts,
+    pub(crate) pixels: &'a [u8],
 }
 
 /// What was counted while tiles of a frame were drawn.
@@ -127,10 +144,7 @@ impl Order {
             Self::SetUp(set_up) => with_json(b'S', set_up)?,
             Self::Go => vec![b'G'],
             Self::Draw(frame) => [b"D", frame.as_bytes()].concat(),
-            Self::DrawTiles(frame, tiles) => {
-                let tiles: Vec<[u8; 4]> = tiles.iter().map(|tile| tile.0.to_le_bytes()).collect();
-                [b"T", frame.as_bytes(), tiles.as_flattened()].concat()
-            }
+            Self::Balance(message) => [&b"B"[..], message].concat(),
             Self::Down(process) => [&b"N"[..], &process.to_le_bytes()].concat(),
             Self::Stop => vec![b'X'],
         })
@@ -141,15 +155,7 @@ impl Order {
             [b'S', json @ ..] => Ok(Self::SetUp(serde_json::from_slice(json)?)),
             [b'G'] => Ok(Self::Go),
             [b'D', frame @ ..] => Ok(Self::Draw(Frame::read(frame)?)),
-            [b'T', rest @ ..] => {
-                let (frame, tiles) = rest.split_at_checked(size_of::<Frame>()).context("half a frame")?;
-                let (tiles, half) = tiles.as_chunks::<4>();
-                if !half.is_empty() {
-                    bail!("half a tile's number");
-                }
-                let tiles = tiles.iter().map(|tile| TileId(u32::from_le_bytes(*tile)));
-                Ok(Self::DrawTiles(Frame::read(frame)?, tiles.collect()))
-            }
+            [b'B', message @ ..] => Ok(Self::Balance(message.to_vec())),
             [b'N', low, high] => Ok(Self::Down(u16::from_le_bytes([*low, *high]))),
             [b'X'] => Ok(Self::Stop),
             _ => bail!("an order of {} bytes that is none", packet.len()),
@@ -163,7 +169,7 @@ impl News {
             Self::Ready => vec![b'R'],
             Self::Alive => vec![b'A'],
             Self::Tiles(batch) => batch.to_packet(),
-            Self::Drawn(frame) => [&b"D"[..], &frame.to_le_bytes()].concat(),
+            Self::Balance(message) => [&b"B"[..], message].concat(),
             Self::Failed(why) => [b"F", why.as_bytes()].concat(),
             Self::Report(report) => with_json(b'P', report)?,
         })
@@ -174,7 +180,7 @@ impl News {
             [b'R'] => Ok(Self::Ready),
             [b'A'] => Ok(Self::Alive),
             [b'T', rest @ ..] => Ok(Self::Tiles(TileBatch::from_bytes(rest)?)),
-            [b'D', f0, f1, f2, f3] => Ok(Self::Drawn(u32::from_le_bytes([*f0, *f1, *f2, *f3]))),
+            [b'B', message @ ..] => Ok(Self::Balance(message.to_vec())),
             [b'F', why @ ..] => Ok(Self::Failed(String::from_utf8_lossy(why).into_owned())),
             [b'P', json @ ..] => Ok(Self::Report(serde_json::from_slice(json)?)),
             _ => bail!("news of {} bytes that is none", packet.len()),
@@ -185,39 +191,48 @@ impl News {
 impl<T> Files<T> {
     /// All of them, in the order in which they travel.
     pub(crate) fn iter(&self) -> impl Iterator<Item = &T> {
-        core::iter::once(&self.image).chain(&self.pages).chain(&self.inboxes)
+        core::iter::once(&self.image).chain(&self.pages).chain(&self.inboxes).chain(&self.mailboxes)
     }
 
     /// Sorts what came with the plan into its places.
-    pub(crate) fn from_list(list: Vec<T>, owners: usize, transport: TransportKind) -> Result<Self> {
+    pub(crate) fn from_list(
+        list: Vec<T>,
+        owners: usize,
+        transport: TransportKind,
+        mailboxes: usize,
+    ) -> Result<Self> {
         let inboxes = if transport == TransportKind::ShmRing { owners } else { 0 };
         let got = list.len();
         let mut list = list.into_iter();
         let image = list.next().context("the image did not come with the plan")?;
         let pages: Vec<T> = list.by_ref().take(owners).collect();
         let inboxes: Vec<T> = list.by_ref().take(inboxes).collect();
+        let mailboxes: Vec<T> = list.by_ref().take(mailboxes).collect();
         if pages.len() != owners || list.next().is_some() {
             bail!("{got} files came with a plan for {owners} owners");
         }
-        Ok(Self { image, pages, inboxes })
+        Ok(Self { image, pages, inboxes, mailboxes })
     }
 }
 
 impl TileBatch {
     /// An empty batch for a frame.
-    pub(crate) fn new(frame: u32) -> Self {
-        Self { drawn: Drawn { frame, ..Drawn::default() }, bytes: Vec::new() }
+    pub(crate) const fn new(frame: u32) -> Self {
+        Self { frame, bytes: Vec::new() }
     }
 
     /// Adds a tile and what was counted for it, unless the packet would become too large.
     pub(crate) fn push(&mut self, TileId(id): TileId, pixels: &[u8], counts: &TileCounts) -> bool {
-        let header = 1 + Drawn::BYTES;
-        if header + self.bytes.len() + size_of::<u32>() + pixels.len() > PACKET_BYTES_MAX {
+        if 1 + size_of::<u32>() + self.bytes.len() + TILE_HEADER_BYTES + pixels.len() > PACKET_BYTES_MAX {
             return false;
         }
         self.bytes.extend(id.to_le_bytes());
+        // A tile has 1024 pixels, and each has a ray or two.
+        let counts = [counts.primary, counts.hits, counts.shadow, counts.lit, counts.damaged];
+        counts.iter().for_each(|count| {
+            self.bytes.extend(u16::try_from(*count).unwrap_or(u16::MAX).to_le_bytes());
+        });
         self.bytes.extend(pixels);
-        self.drawn.add(counts);
         true
     }
 
@@ -225,84 +240,60 @@ impl TileBatch {
         self.bytes.is_empty()
     }
 
-    /// What was counted while these tiles were drawn.
-    pub(crate) const fn drawn(&self) -> &Drawn {
-        &self.drawn
+    pub(crate) const fn frame(&self) -> u32 {
+        self.frame
     }
 
     fn to_packet(&self) -> Vec<u8> {
-        [&b"T"[..], &self.drawn.to_bytes(), &self.bytes].concat()
+        [&b"T"[..], &self.frame.to_le_bytes(), &self.bytes].concat()
     }
 
     fn from_bytes(bytes: &[u8]) -> Result<Self> {
-        let (drawn, tiles) = bytes.split_first_chunk().context("half a batch of tiles")?;
-        Ok(Self { drawn: Drawn::from_bytes(drawn), bytes: tiles.to_vec() })
+        let (frame, tiles) = bytes.split_first_chunk().context("half a batch of tiles")?;
+        Ok(Self { frame: u32::from_le_bytes(*frame), bytes: tiles.to_vec() })
     }
 
     /// The tiles in it, for a picture cut as `tiles` says.
     ///
     /// # Errors
     /// A tile that is none of the picture's, or half a tile.
-    pub(crate) fn tiles(&self, tiles: Tiles) -> impl Iterator<Item = Result<(TileId, Tile, &[u8])>> {
+    pub(crate) fn tiles(&self, tiles: Tiles) -> impl Iterator<Item = Result<BatchedTile<'_>>> {
         let mut rest = &self.bytes[..];
         core::iter::from_fn(move || {
             if rest.is_empty() {
                 return None;
             }
             let taken = take_tile(rest, tiles);
-            rest = taken.as_ref().map_or(&[][..], |(_, _, _, rest)| rest);
-            Some(taken.map(|(id, tile, pixels, _)| (id, tile, pixels)))
+            rest = taken.as_ref().map_or(&[][..], |(_, rest)| rest);
+            Some(taken.map(|(tile, _)| tile))
         })
     }
 }
 
-fn take_tile(bytes: &[u8], tiles: Tiles) -> Result<(TileId, Tile, &[u8], &[u8])> {
-    let (id, rest) = bytes.split_first_chunk::<4>().context("half a tile's number")?;
+fn take_tile(bytes: &[u8], tiles: Tiles) -> Result<(BatchedTile<'_>, &[u8])> {
+    let (header, rest) = bytes.split_first_chunk::<TILE_HEADER_BYTES>().context("half a tile's number")?;
+    let (id, counts) = header.split_first_chunk::<4>().context("half a tile's number")?;
     let id = TileId(u32::from_le_bytes(*id));
     let tile = tiles.get(id).with_context(|| format!("tile {} of a picture that has fewer", id.0))?;
     let (pixels, rest) = rest.split_at_checked(tile.pixels()).context("half a tile")?;
-    Ok((id, tile, pixels, rest))
+    let mut counts = counts.as_chunks::<2>().0.iter().map(|count| u64::from(u16::from_le_bytes(*count)));
+    let mut next = || counts.next().unwrap_or_default();
+    let counts = TileCounts {
+        primary: next(),
+        hits: next(),
+        shadow: next(),
+        lit: next(),
+        damaged: next(),
+        t_sum: 0.0,
+    };
+    Ok((BatchedTile { id, tile, counts, pixels }, rest))
 }
 
+/// Number and counts in front of a tile's pixels.
+const TILE_HEADER_BYTES: usize = 4 + 5 * 2;
+
 impl Drawn {
-    /// Length of the counts in a packet.
-    const BYTES: usize = 4 + 5 * 8;
-
-    /// Adds what was counted for other tiles of the frame.
-    pub(crate) const fn merge(&mut self, other: &Self) {
-        self.primary_rays += other.primary_rays;
-        self.hits += other.hits;
-        self.shadow_rays += other.shadow_rays;
-        self.lit += other.lit;
-        self.damaged += other.damaged;
-    }
-
-    fn to_bytes(self) -> [u8; Self::BYTES] {
-        let mut bytes = [0; Self::BYTES];
-        let (frame, counts) = bytes.split_at_mut(4);
-        frame.copy_from_slice(&self.frame.to_le_bytes());
-        let values = [self.primary_rays, self.hits, self.shadow_rays, self.lit, self.damaged];
-        for (place, value) in counts.chunks_exact_mut(8).zip(values) {
-            place.copy_from_slice(&value.to_le_bytes());
-        }
-        bytes
-    }
-
-    fn from_bytes(bytes: &[u8; Self::BYTES]) -> Self {
-        let [f0, f1, f2, f3, counts @ ..] = bytes;
-        let mut counts = counts.as_chunks::<8>().0.iter().map(|count| u64::from_le_bytes(*count));
-        let mut next = || counts.next().unwrap_or_default();
-        Self {
-            frame: u32::from_le_bytes([*f0, *f1, *f2, *f3]),
-            primary_rays: next(),
-            hits: next(),
-            shadow_rays: next(),
-            lit: next(),
-            damaged: next(),
-        }
-    }
-
-    fn add(&mut self, counts: &TileCounts) {
+    pub(crate) const fn add(&mut self, counts: &TileCounts) {
         self.primary_rays += counts.primary;
         self.hits += counts.hits;
         self.shadow_rays += counts.shadow;
@@ -335,13 +326,15 @@ mod tests {
             panic!("tiles became something else");
         };
         let drawn = Drawn { frame: 7, primary_rays: 6, hits: 12, shadow_rays: 18, lit: 24, damaged: 30 };
-        assert_eq!(*batch.drawn(), drawn);
         let found: Vec<_> = batch.tiles(tiles).map(Result::unwrap).collect();
-        assert_eq!(found.len(), 6);
-        for (id, tile, pixels) in found {
+        assert_eq!((found.len(), batch.frame()), (6, 7));
+        let mut sum = Drawn { frame: 7, ..Drawn::default() };
+        for BatchedTile { id, tile, counts, pixels } in found {
             assert_eq!(Some(tile), tiles.get(id));
             assert!(pixels.iter().all(|pixel| u32::from(*pixel) == id.0));
+            sum.add(&counts);
         }
+        assert_eq!(sum, drawn);
     }
 
     #[test]
@@ -350,7 +343,7 @@ mod tests {
         let pixels = [0; 256];
         let pushed =
             (0..1000).take_while(|id| batch.push(TileId(*id), &pixels, &TileCounts::default())).count();
-        assert_eq!(pushed, (PACKET_BYTES_MAX - 1 - Drawn::BYTES) / 260);
+        assert_eq!(pushed, (PACKET_BYTES_MAX - 5) / (256 + TILE_HEADER_BYTES));
         assert!(News::Tiles(batch).to_packet().unwrap().len() <= PACKET_BYTES_MAX);
     }
 
@@ -358,7 +351,7 @@ mod tests {
     fn half_a_tile_and_a_tile_of_another_picture_are_errors() {
         let tiles = Tiles::of(TILE_SIZE, TILE_SIZE);
         for bytes in [&[0, 0, 0][..], &[0, 0, 0, 0, 1, 2], &[9, 0, 0, 0]] {
-            let batch = TileBatch { drawn: Drawn::default(), bytes: bytes.to_vec() };
+            let batch = TileBatch { frame: 0, bytes: bytes.to_vec() };
             assert!(batch.tiles(tiles).next().unwrap().is_err());
             assert_eq!(batch.tiles(tiles).count(), 1);
         }

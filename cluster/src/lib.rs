@@ -26,12 +26,14 @@
 //! 2. It starts a process for each node and store, each with a socket as its standard input, and sends each the plan
 //!    and the files: the image to read its own stripes from, its peers' pages to read the others'.
 //! 3. Each process fills its home pages; when all have, the supervisor lets the image go. Nobody holds it whole.
-//! 4. Frame by frame: the camera goes out, every node draws the tiles that are its own, finished tiles come back.
+//! 4. Frame by frame: the camera goes out and tiles are dealt, every node draws its tiles and takes some from others when it
+//!    has none left, finished tiles come back.
 //! 5. The nodes report and end.
 //!
 //! Nothing of this has a name outside the processes: memory files and sockets vanish with the last of them, however
 //! they end.
 
+mod balance;
 mod canvas;
 pub mod command_line;
 mod control;

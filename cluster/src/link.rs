@@ -54,6 +54,12 @@ impl Link {
         self.send_with(bytes, &[])
     }
 
+    /// Sends a packet, unless the other end is so slow that there is no room for it.
+    pub(crate) fn send_or_drop(&self, bytes: &[u8]) -> io::Result<()> {
+        rustix::net::send(&self.socket, bytes, SendFlags::NOSIGNAL | SendFlags::DONTWAIT)?;
+        Ok(())
+    }
+
     /// Sends a packet and duplicates of `files`.
     pub(crate) fn send_with(&self, bytes: &[u8], files: &[BorrowedFd<'_>]) -> io::Result<()> {
         if bytes.len() > PACKET_BYTES_MAX || files.len() > FILES_MAX {

@@ -8,7 +8,6 @@ use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::fs::FileExt;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::mpsc::{Sender, channel};
 use std::thread::{self, JoinHandle};
 
 use anyhow::{Context, Result, anyhow, bail};
@@ -18,15 +17,15 @@ use dsm_core::placement::Stripes;
 use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use dsm_core::stats::{Histogram, HomeStats};
 use fault_linux::{BackendKind, Region, Setup, ThreadStats};
-use rt_core::schedule::Static;
-use rt_core::{Frame, Kernel, Tiles};
+use rt_core::Kernel;
 use rustix::process::{Signal, set_parent_process_death_signal};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use transport_shm::{HeldPages, Server, now};
 
+use crate::balance::{Balance, BalanceStats};
 use crate::control::{Files, News, Order, SetUp};
 use crate::link::Link;
-use crate::painter::{Job, Painter};
+use crate::painter::Painter;
 use crate::ports::{EPOCH, Routes, layout};
 use crate::report::ProcessReport;
 
@@ -68,6 +67,9 @@ struct Process {
     link: Arc<Link>,
     routes: Routes,
     image: OwnedFd,
+    /// The way to each node, and where their letters come in.
+    mailboxes: Vec<OwnedFd>,
+    letters: Option<OwnedFd>,
     placement: Stripes,
     baseline_resident_bytes: u64,
 }
@@ -75,17 +77,12 @@ struct Process {
 /// The threads of a running process.
 struct Crew {
     region: Option<Arc<Region>>,
-    painters: Vec<Hand>,
+    balance: Option<Arc<Balance>>,
+    painters: Vec<JoinHandle<Result<ThreadStats>>>,
     server: Option<JoinHandle<HomeStats>>,
     stop: Arc<AtomicBool>,
     /// A store's pages, so that they count as its memory.
     _held: Option<HeldPages>,
-}
-
-/// A render thread, and how to give it work. It ends when nobody can give it more.
-struct Hand {
-    jobs: Sender<Arc<Job>>,
-    thread: JoinHandle<Result<ThreadStats>>,
 }
 
 impl Process {
@@ -98,11 +95,23 @@ impl Process {
         };
         let placement = set_up.placement.placement()?;
         let owners = usize::from(placement.owner_count());
-        let Files { image, pages, inboxes } = Files::from_list(packet.files, owners, set_up.transport)?;
+        let mut files = packet.files;
+        let has_letters = set_up.node < set_up.mailboxes;
+        let letters = has_letters.then(|| files.pop()).flatten();
+        let Files { image, pages, inboxes, mailboxes } =
+            Files::from_list(files, owners, set_up.transport, set_up.mailboxes.into())?;
         let routes = Routes::new(&set_up, placement, pages, inboxes)?;
         say_alive(link, set_up.deadline_us)?;
-        let process =
-            Self { set_up: *set_up, link: link.clone(), routes, image, placement, baseline_resident_bytes };
+        let process = Self {
+            set_up: *set_up,
+            link: link.clone(),
+            routes,
+            image,
+            mailboxes,
+            letters,
+            placement,
+            baseline_resident_bytes,
+        };
         process.fill_home().context("cannot read the scene image")?;
         link.send(&News::Ready.to_packet()?)?;
         Ok(process)
@@ -127,7 +136,7 @@ impl Process {
         Ok(())
     }
 
-    fn run(self) -> Result<()> {
+    fn run(mut self) -> Result<()> {
         // Until every process has filled its pages nobody reads any: what is read never changes.
         match self.next_order()? {
             Some(Order::Go) => {}
@@ -137,12 +146,13 @@ impl Process {
         let crew = self.start()?;
         loop {
             match self.next_order()? {
-                Some(Order::Draw(frame)) => crew.begin(self.job(frame)),
-                Some(Order::DrawTiles(frame, tiles)) => {
-                    crew.draw(Job::new(frame, Tiles::of(frame.width, frame.height), tiles));
+                Some(Order::Draw(frame)) => crew.balance.iter().for_each(|balance| balance.begin(frame)),
+                Some(Order::Balance(deal)) => {
+                    crew.balance.iter().try_for_each(|balance| balance.handle_deal(&deal))?;
                 }
                 Some(Order::Down(process)) => {
                     crew.region.iter().for_each(|region| region.handle_peer_down(NodeId(process)));
+                    crew.balance.iter().for_each(|balance| balance.handle_peer_down(process));
                 }
                 Some(Order::Stop) => break,
                 Some(Order::SetUp(_) | Order::Go) => bail!("a second plan, or a second start"),
@@ -160,22 +170,24 @@ impl Process {
         self.link.receive()?.map(|packet| Order::from_packet(&packet.bytes)).transpose()
     }
 
-    fn start(&self) -> Result<Crew> {
+    fn start(&mut self) -> Result<Crew> {
         let stop = Arc::new(AtomicBool::new(false));
         let server = self.start_server(&stop)?;
         if !self.renders() {
             let held = self.routes.own().map(|(pages, _)| pages.hold()).transpose()?;
-            return Ok(Crew { region: None, painters: Vec::new(), server, stop, _held: held });
+            return Ok(Crew { region: None, balance: None, painters: Vec::new(), server, stop, _held: held });
         }
         let region = self.region()?;
         let kernel = self.kernel()?;
+        let mailboxes = core::mem::take(&mut self.mailboxes);
+        let balance = Arc::new(Balance::new(&self.set_up, self.link.clone(), mailboxes, region.clone())?);
+        self.letters.take().map_or(Ok(()), |letters| balance.start_reading(letters))?;
         let painters = (0..self.set_up.threads).map(|thread| {
-            let (sender, jobs) = channel();
             let painter = Painter {
                 region: region.clone(),
                 port: self.routes.port(thread)?,
                 link: self.link.clone(),
-                jobs,
+                balance: balance.clone(),
                 image_bytes: self.set_up.image_bytes,
                 kernel,
                 batch_tiles: self.set_up.batch_tiles,
@@ -190,10 +202,10 @@ impl Process {
                 core.into_iter().for_each(bind_to_core);
                 painter.run().inspect_err(|error| tell(&link, error))
             };
-            Ok(Hand { jobs: sender, thread: thread::Builder::new().name(name).spawn(body)? })
+            Ok(thread::Builder::new().name(name).spawn(body)?)
         });
         let painters = painters.collect::<Result<_>>()?;
-        Ok(Crew { region: Some(region), painters, server, stop, _held: None })
+        Ok(Crew { region: Some(region), balance: Some(balance), painters, server, stop, _held: None })
     }
 
     fn start_server(&self, stop: &Arc<AtomicBool>) -> Result<Option<JoinHandle<HomeStats>>> {
@@ -262,17 +274,10 @@ impl Process {
         }
     }
 
-    fn job(&self, frame: Frame) -> Job {
-        let tiles = Tiles::of(frame.width, frame.height);
-        let schedule = Static::new(tiles, self.set_up.nodes.into());
-        let own = schedule.drawing_order(self.set_up.node.into(), frame.number).collect();
-        Job::new(frame, tiles, own)
-    }
-
     /// Ends the threads and writes down what they have counted.
     fn report(&self, crew: Crew) -> Result<ProcessReport> {
         let region = crew.region.clone();
-        let (miss_ns, home) = crew.end()?;
+        let (miss_ns, home, balance) = crew.end()?;
         let stats = region.as_ref().map(|region| region.stats()).unwrap_or_default();
         let slots = region.as_ref().map_or(0, |region| region.slot_count());
         let choice = region.as_ref().map(|region| region.choice());
@@ -307,6 +312,11 @@ impl Process {
             miss_p50_us: us(500),
             miss_p99_us: us(990),
             granted_pages: home.granted_pages,
+            tiles_drawn: balance.worker.drawn,
+            tiles_taken: balance.worker.taken,
+            tiles_given: balance.worker.given,
+            busy_ms: balance.worker.busy_us as f64 / 1000.0,
+            idle_ms: balance.idle.as_secs_f64() * 1000.0,
         })
     }
 
@@ -342,31 +352,15 @@ impl Process {
 }
 
 impl Crew {
-    /// Draws a new frame.
-    fn begin(&self, job: Job) {
-        if let Some(region) = &self.region {
-            region.begin_frame(&job.order());
-        }
-        self.draw(job);
-    }
-
-    fn draw(&self, job: Job) {
-        let job = Arc::new(job);
-        for hand in &self.painters {
-            // A thread that has ended has said why, and the supervisor will end this process.
-            let _ = hand.jobs.send(job.clone());
-        }
-    }
-
-    fn end(self) -> Result<(Histogram, HomeStats)> {
+    fn end(self) -> Result<(Histogram, HomeStats, BalanceStats)> {
+        let balance = self.balance.map(|balance| balance.end()).unwrap_or_default();
         let mut miss_ns = Histogram::EMPTY;
-        for Hand { jobs, thread } in self.painters {
-            drop(jobs);
+        for thread in self.painters {
             miss_ns.merge(&thread.join().map_err(|_| anyhow!("a render thread panicked"))??.miss_ns);
         }
         self.stop.store(true, Ordering::Relaxed);
         let home = self.server.map(|server| server.join().map_err(|_| anyhow!("the server thread panicked")));
-        Ok((miss_ns, home.transpose()?.unwrap_or_default()))
+        Ok((miss_ns, home.transpose()?.unwrap_or_default(), balance))
     }
 }
 

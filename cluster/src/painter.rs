@@ -1,26 +1,16 @@
 //! A render thread: draws its share of a frame's tiles and sends them off.
 
-use core::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::Arc;
-use std::sync::mpsc::Receiver;
 
 use anyhow::{Context, Result};
 use fault_linux::{Attached, BackendKind, Record, Region, ThreadStats};
-use rt_core::{Flat, Frame, Kernel, SceneMemory, SceneView, TILE_SIZE, TileId, Tiles, render_tile};
+use rt_core::{Flat, Kernel, SceneMemory, SceneView, TILE_SIZE, Tiles, render_tile};
 
+use crate::balance::{Balance, Task};
 use crate::control::{News, TileBatch};
 use crate::link::Link;
 use crate::noted::{Noted, Notes};
 use crate::ports::Port;
-
-/// A frame to draw, shared by the threads of a node: each takes the next tile that nobody has.
-#[derive(Debug)]
-pub(crate) struct Job {
-    frame: Frame,
-    tiles: Tiles,
-    own: Vec<TileId>,
-    next: AtomicUsize,
-}
 
 /// What a render thread needs.
 #[derive(Debug)]
@@ -28,7 +18,7 @@ pub(crate) struct Painter {
     pub(crate) region: Arc<Region>,
     pub(crate) port: Port,
     pub(crate) link: Arc<Link>,
-    pub(crate) jobs: Receiver<Arc<Job>>,
+    pub(crate) balance: Arc<Balance>,
     pub(crate) image_bytes: u64,
     pub(crate) kernel: Kernel,
     /// Tiles sent at a time at most.
@@ -42,29 +32,20 @@ struct Slotted<'a> {
     length: u64,
 }
 
-impl Job {
-    pub(crate) fn new(frame: Frame, tiles: Tiles, own: Vec<TileId>) -> Self {
-        Self { frame, tiles, own, next: AtomicUsize::new(0) }
-    }
-
-    /// The numbers of the tiles, in the order in which they are drawn.
-    pub(crate) fn order(&self) -> Vec<u32> {
-        self.own.iter().map(|tile| tile.0).collect()
-    }
-
-    fn take(&self) -> Option<TileId> {
-        self.own.get(self.next.fetch_add(1, Ordering::Relaxed)).copied()
-    }
-}
-
 impl Painter {
-    /// Draws job after job until there are no more, or a page cannot be had.
+    /// Draws tile after tile until there are no more, or a page cannot be had.
     pub(crate) fn run(self) -> Result<ThreadStats> {
-        let Self { region, port, link, jobs, image_bytes, kernel, batch_tiles } = self;
+        let Self { region, port, link, balance, image_bytes, kernel, batch_tiles } = self;
         let attached = region.attach(port)?;
         let notes = Notes::new(u32::try_from(region.page_bytes())?, image_bytes);
-        let canvas =
-            Canvas { attached: &attached, notes: &notes, link: &link, jobs: &jobs, kernel, batch_tiles };
+        let canvas = Canvas {
+            attached: &attached,
+            notes: &notes,
+            link: &link,
+            balance: &balance,
+            kernel,
+            batch_tiles,
+        };
         if region.choice().used == BackendKind::Soft {
             canvas.draw_all(Noted::new(Slotted { attached: &attached, length: image_bytes }, &notes))?;
         } else {
@@ -82,7 +63,7 @@ struct Canvas<'a> {
     attached: &'a Attached<Port>,
     notes: &'a Notes,
     link: &'a Link,
-    jobs: &'a Receiver<Arc<Job>>,
+    balance: &'a Balance,
     kernel: Kernel,
     batch_tiles: u16,
 }
@@ -93,31 +74,45 @@ impl Canvas<'_> {
         // A header of zeros is what a page that could not be had looks like; that failure comes first.
         self.attached.check()?;
         let scene = scene.context("the scene image")?;
-        while let Ok(job) = self.jobs.recv() {
-            self.draw(&scene, &job)?;
-        }
-        Ok(())
-    }
-
-    fn draw<M: SceneMemory>(&self, scene: &SceneView<M>, job: &Job) -> Result<()> {
-        let frame = job.frame.number;
-        let (mut batch, mut batched) = (TileBatch::new(frame), 0);
-        let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
-        while let Some(id) = job.take() {
-            let Some(tile) = job.tiles.get(id) else { continue };
-            let pixels = &mut pixels[..tile.pixels()];
-            self.attached.begin_tile(id.0);
-            let counts = render_tile(scene, &job.frame, tile, self.kernel, pixels, &mut ());
-            self.notes.take(|pages| self.attached.end_tile(id.0, pages));
-            if batched == self.batch_tiles || !batch.push(id, pixels, &counts) {
-                self.send(core::mem::replace(&mut batch, TileBatch::new(frame)))?;
-                batch.push(id, pixels, &counts);
+        let (mut batch, mut batched) = (TileBatch::new(0), 0);
+        loop {
+            let task = match self.balance.try_take()? {
+                Some(task) => task,
+                None => {
+                    // Whoever waits for work keeps nobody waiting for what is done.
+                    self.send(core::mem::replace(&mut batch, TileBatch::new(0)))?;
+                    match self.balance.take_or_wait()? {
+                        Some(task) => task,
+                        None => return Ok(()),
+                    }
+                }
+            };
+            if batch.frame() != task.frame.number || batched == self.batch_tiles {
+                self.send(core::mem::replace(&mut batch, TileBatch::new(task.frame.number)))?;
                 batched = 0;
             }
+            self.draw(&scene, &task, &mut batch)?;
             batched += 1;
         }
-        self.send(batch)?;
-        self.link.send(&News::Drawn(frame).to_packet()?)?;
+    }
+
+    /// Draws one tile into the batch, which is sent first if it has no room.
+    fn draw<M: SceneMemory>(&self, scene: &SceneView<M>, task: &Task, batch: &mut TileBatch) -> Result<()> {
+        let (frame, id) = (&task.frame, task.tile);
+        let Some(tile) = Tiles::of(frame.width, frame.height).get(id) else { return Ok(()) };
+        let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
+        let pixels = &mut pixels[..tile.pixels()];
+        self.attached.begin_tile(id.0);
+        let counts = render_tile(scene, frame, tile, self.kernel, pixels, &mut ());
+        let mut is_wanted = Ok(false);
+        self.notes.take(|pages| {
+            self.attached.end_tile(id.0, pages);
+            is_wanted = self.balance.handle_drawn(task, pages);
+        });
+        if is_wanted? && !batch.push(id, pixels, &counts) {
+            self.send(core::mem::replace(batch, TileBatch::new(frame.number)))?;
+            batch.push(id, pixels, &counts);
+        }
         Ok(())
     }
 

@@ -18,6 +18,9 @@ pub struct RunReport {
     pub size: [u32; 2],
     /// How pages travel: `shm` or `shm-ring`.
     pub transport: String,
+    /// How tiles came to nodes: `static`, `demand:2`, `steal` or `steal-near`.
+    #[serde(default)]
+    pub balance: String,
     /// One entry for each frame, in order.
     pub frames: Vec<FrameReport>,
     /// One entry for each process that saw the end, in order of its number.
@@ -80,6 +83,9 @@ pub struct FrameReport {
     pub lit: u64,
     /// Pixels whose ray met records that contradict the image's header.
     pub damaged_pixels: u64,
+    /// Tiles that another node drew than the one they were dealt to.
+    #[serde(default)]
+    pub moved_tiles: u32,
 }
 
 /// One process.
@@ -146,6 +152,21 @@ pub struct ProcessReport {
     pub miss_p99_us: f64,
     /// Pages granted to others, where a server thread does that.
     pub granted_pages: u64,
+    /// Tiles drawn.
+    #[serde(default)]
+    pub tiles_drawn: u64,
+    /// Tiles taken from other nodes.
+    #[serde(default)]
+    pub tiles_taken: u64,
+    /// Tiles given to other nodes.
+    #[serde(default)]
+    pub tiles_given: u64,
+    /// Time spent drawing, over all threads and frames, in milliseconds.
+    #[serde(default)]
+    pub busy_ms: f64,
+    /// Time in which threads had nothing to draw since the first tile, over all threads and frames, in milliseconds.
+    #[serde(default)]
+    pub idle_ms: f64,
 }
 
 /// Sums over all frames and nodes.
@@ -235,6 +256,7 @@ impl Display for RunReport {
         }
         writeln!(f)?;
         writeln!(f, "{}", table(&self.nodes))?;
+        self.write_balance(f)?;
         write!(
             f,
             "{:.1} frames/s, {:.2} Mrays/s; fetched {} pages ({}), evicted {}; at most {} resident beyond what is held",
@@ -278,6 +300,31 @@ const fn one() -> u8 {
 }
 
 /// One row for each process, its columns as wide as they need to be.
+impl RunReport {
+    /// Who drew how much, and how many tiles changed hands, if there is more than one node.
+    fn write_balance(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let nodes: Vec<&ProcessReport> = self.nodes.iter().filter(|node| node.role == "node").collect();
+        if nodes.len() < 2 {
+            return Ok(());
+        }
+        let frames = self.frames.len().max(1) as f64;
+        let list = |of: &dyn Fn(&ProcessReport) -> String| -> String {
+            nodes.iter().map(|node| of(node)).collect::<Vec<_>>().join(" ")
+        };
+        let per_thread = |node: &ProcessReport, ms: f64| ms / frames / f64::from(node.threads.max(1));
+        let moved: u32 = self.frames.iter().map(|frame| frame.moved_tiles).sum();
+        writeln!(
+            f,
+            "{}: tiles drawn {}, taken from others {}; idle {} ms a frame and thread; {:.1} tiles moved a frame",
+            self.balance,
+            list(&|node| thousands(node.tiles_drawn)),
+            list(&|node| thousands(node.tiles_taken)),
+            list(&|node| format!("{:.1}", per_thread(node, node.idle_ms))),
+            f64::from(moved) / frames,
+        )
+    }
+}
+
 fn table(nodes: &[ProcessReport]) -> String {
     let heads = [
         "",
@@ -363,6 +410,7 @@ mod tests {
             shadow_rays: 400_000,
             lit: 1,
             damaged_pixels: 0,
+            moved_tiles: 0,
         };
         let node = ProcessReport {
             fetched_pages: 3,

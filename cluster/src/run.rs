@@ -10,7 +10,9 @@ use anyhow::{Context, Result, bail};
 use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use fault_linux::BackendKind;
 use rt_core::camera::OrbitPlace;
-use rt_core::{Frame, Header, Isosurface, Kernel, Orbit, Solver};
+use rt_core::schedule::ledger::{DealtNode, DealtTile, LedgerConfig};
+use rt_core::schedule::{Balancer, Ledger, LedgerStorage};
+use rt_core::{Frame, Header, Isosurface, Kernel, Orbit, Solver, Tiles};
 use scene::builtin::BuiltIn;
 use transport_shm::{Inbox, Layout, PageFile};
 
@@ -20,9 +22,11 @@ pub use crate::loss::{Kill, Loss};
 pub use crate::picture::Picture;
 pub use crate::scene_source::{Source, VolumeInput};
 
+use crate::balance::{self, RESEND_US};
 use crate::control::{Files, SetUp};
 use crate::isovalue;
 use crate::plan::{Demand, Plan};
+use crate::ports::EPOCH;
 use crate::progress::FrameBar;
 use crate::report::{FrameReport, RunReport, SceneReport, Totals};
 use crate::scene_source::Image;
@@ -60,6 +64,8 @@ pub struct Options {
     pub kernel: Option<Kernel>,
     /// How pages travel.
     pub transport: TransportKind,
+    /// How tiles come to nodes.
+    pub balance: Balancer,
     /// The picture's size.
     pub size: PictureSize,
     /// Frames of the orbit.
@@ -106,6 +112,7 @@ impl Default for Options {
             prefetch: true,
             kernel: None,
             transport: TransportKind::Shm,
+            balance: Balancer::StealNear,
             size: PictureSize { width: 512, height: 512 },
             frames: 1,
             radius: 1.05,
@@ -138,18 +145,21 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<
     let (name, header) = (image.name.clone(), image.header);
     let isosurfaces = isovalue::resolve(&options.isosurfaces, &options.source, &image)?;
     let notes = image.notes.iter().map(ToString::to_string).collect();
-    let files = run.files(image)?;
+    let (mailboxes, letters) = balance::mailboxes(run.mailboxes(options))?;
+    let files = run.files(image, mailboxes)?;
     let mut supervisor =
-        Supervisor::start(&run.set_ups(options), &files, options.deadline, options.kills.clone())?;
+        Supervisor::start(&run.set_ups(options), &files, &letters, options.deadline, options.kills.clone())?;
     supervisor.wait_until_ready()?;
     // Each process has its own part now; nobody holds the whole.
-    drop(files);
+    drop((files, letters));
 
+    let mut dealt = Dealt::new(&run, options);
+    let mut ledger = dealt.ledger(&run, options);
     let orbit = Orbit::around(&header.view);
     let mut frames = Vec::new();
     let bar = FrameBar::new(options.quiet, options.frames);
     for number in 0..options.frames {
-        let drawing = supervisor.draw(options.frame(&orbit, number, &isosurfaces)?)?;
+        let drawing = supervisor.draw(options.frame(&orbit, number, &isosurfaces)?, &mut ledger)?;
         on_frame(number, &drawing.picture)?;
         frames.push(drawing.report());
         bar.advance();
@@ -161,6 +171,7 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<
         scene: run.scene_report(name, &header, &isosurfaces, notes),
         size: [options.size.width, options.size.height],
         transport: serde_json::to_value(options.transport)?.as_str().unwrap_or_default().to_owned(),
+        balance: options.balance.to_string(),
         totals: Totals::of(&frames, &nodes),
         frames,
         nodes,
@@ -194,8 +205,13 @@ impl Run {
         Ok(Self { plan, image_bytes, threads, transport: options.transport })
     }
 
-    /// The image, a file for the pages of each owner, and its inbox.
-    fn files(&self, image: Image) -> Result<Files<OwnedFd>> {
+    /// Mailboxes of nodes: one each where they take tiles from each other.
+    fn mailboxes(&self, options: &Options) -> u16 {
+        if options.balance.steals() && self.plan.nodes > 1 { self.plan.nodes } else { 0 }
+    }
+
+    /// The image, a file for the pages of each owner and its inbox, and the mailboxes.
+    fn files(&self, image: Image, mailboxes: Vec<OwnedFd>) -> Result<Files<OwnedFd>> {
         let placement = &self.plan.placement;
         let pages = placement.owner_ids().map(|owner| {
             let bytes = u64::from(self.plan.own_pages(owner)) * u64::from(self.plan.page_bytes);
@@ -211,6 +227,7 @@ impl Run {
             image: image.into(),
             pages: pages.collect::<Result<_>>()?,
             inboxes: inboxes.collect::<Result<_>>()?,
+            mailboxes,
         })
     }
 
@@ -241,7 +258,15 @@ impl Run {
             deadline_us: u64::try_from(options.deadline.as_micros()).unwrap_or(u64::MAX),
             lose_per_mille: options.lose_per_mille,
             seed: options.seed,
-            batch_tiles: if options.kills.is_empty() { u16::MAX } else { BATCH_TILES_COUNTED },
+            mailboxes: self.mailboxes(options),
+            balance: options.balance.to_string(),
+            size: [options.size.width, options.size.height],
+            batch_tiles: match options.balance {
+                // The next tile is sent when one has come.
+                Balancer::Demand { .. } => 1,
+                _ if options.kills.is_empty() => u16::MAX,
+                _ => BATCH_TILES_COUNTED,
+            },
         };
         (0..processes).map(set_up).collect()
     }
@@ -280,6 +305,39 @@ impl Run {
             isovalues: isosurfaces.iter().map(|surface| surface.value).collect(),
             notes,
         }
+    }
+}
+
+/// The memory of the display's part of the balance.
+struct Dealt {
+    tiles: Vec<DealtTile>,
+    order: Vec<u32>,
+    nodes: Vec<DealtNode>,
+}
+
+impl Dealt {
+    fn new(run: &Run, options: &Options) -> Self {
+        let tiles = Tiles::of(options.size.width, options.size.height).count() as usize;
+        Self {
+            tiles: vec![DealtTile::EMPTY; tiles],
+            order: vec![0; tiles],
+            nodes: vec![DealtNode::EMPTY; run.plan.nodes.into()],
+        }
+    }
+
+    fn ledger(&mut self, run: &Run, options: &Options) -> Ledger<'_> {
+        let config = LedgerConfig {
+            epoch: EPOCH.0,
+            nodes: run.plan.nodes,
+            threads: run.threads,
+            tiles: Tiles::of(options.size.width, options.size.height),
+            balancer: options.balance,
+            resend_us: RESEND_US,
+            confirms: false,
+            seed: options.seed,
+        };
+        let Self { tiles, order, nodes } = self;
+        Ledger::new(config, LedgerStorage { tiles, order, nodes })
     }
 }
 
@@ -337,6 +395,7 @@ impl Drawing {
             shadow_rays: self.counts.shadow_rays,
             lit: self.counts.lit,
             damaged_pixels: self.counts.damaged,
+            moved_tiles: self.moved_tiles,
         }
     }
 }

@@ -10,11 +10,15 @@ use std::time::Instant;
 use anyhow::{Context, Error, Result, anyhow, bail};
 use dsm_core::id::NodeId;
 use dsm_core::placement::Stripes;
-use rt_core::{Frame, TileId};
+use rt_core::Frame;
+use rt_core::schedule::ledger::Output;
+use rt_core::schedule::message::MESSAGE_BYTES_MAX;
+use rt_core::schedule::{Ledger, Message};
+use transport_shm::now;
 
 use crate::canvas::Canvas;
 use crate::control::{Drawn, Files, News, Order, SetUp};
-use crate::link::{Link, PACKET_BYTES_MAX, wait_for_any};
+use crate::link::{Link, wait_for_any};
 use crate::loss::{Kill, Loss, is_all_there};
 use crate::node::NODE_COMMAND;
 use crate::picture::Picture;
@@ -26,8 +30,6 @@ pub(crate) struct Supervisor {
     /// The nodes, which render, then the stores.
     processes: Vec<Process>,
     nodes: usize,
-    /// Render threads of each node; each says when it has drawn its part of an order.
-    threads: u32,
     placement: Stripes,
     /// From now on a process may die, if no page and not the last node goes with it.
     is_running: bool,
@@ -66,30 +68,29 @@ pub(crate) struct Drawing {
     pub(crate) picture: Picture,
     pub(crate) counts: Drawn,
     pub(crate) ms: f64,
+    /// Tiles that came from another node than they were dealt to.
+    pub(crate) moved_tiles: u32,
 }
 
 /// How long one look at the links takes at most, so that a silent process is noticed soon.
 const LOOK_MS: u32 = 50;
-
-/// Numbers of tiles that one packet can carry, beside the frame.
-const TILES_IN_PACKET_MAX: usize = (PACKET_BYTES_MAX - 1 - size_of::<Frame>()) / size_of::<u32>();
 
 impl Supervisor {
     /// Starts a process for each plan and gives it its files.
     pub(crate) fn start(
         plans: &[SetUp],
         files: &Files<OwnedFd>,
+        letters: &[OwnedFd],
         deadline: Duration,
         kills: Vec<Kill>,
     ) -> Result<Self> {
         let first = plans.first().context("a cluster of no process")?;
-        let (nodes, threads) = (first.nodes.into(), first.threads.into());
+        let nodes = first.nodes.into();
         let placement = first.placement.placement()?;
         let doing = "the cluster was started".to_owned();
         let (processes, losses) = (Vec::new(), Vec::new());
         let is_running = false;
-        let mut supervisor =
-            Self { processes, nodes, threads, placement, is_running, losses, kills, deadline, doing };
+        let mut supervisor = Self { processes, nodes, placement, is_running, losses, kills, deadline, doing };
         for plan in plans {
             let process = Process::start(plan).with_context(|| format!("cannot start {}", name_of(plan)))?;
             supervisor.processes.push(process);
@@ -97,6 +98,8 @@ impl Supervisor {
         let list: Vec<BorrowedFd<'_>> = files.iter().map(AsFd::as_fd).collect();
         for (index, plan) in plans.iter().enumerate() {
             let packet = Order::SetUp(Box::new(plan.clone())).to_packet()?;
+            let own = letters.get(index).map(AsFd::as_fd);
+            let list: Vec<BorrowedFd<'_>> = list.iter().copied().chain(own).collect();
             supervisor.processes[index].send(&packet, &list)?;
         }
         Ok(supervisor)
@@ -119,31 +122,37 @@ impl Supervisor {
     }
 
     /// Has one frame drawn.
-    pub(crate) fn draw(&mut self, frame: Frame) -> Result<Drawing> {
+    pub(crate) fn draw(&mut self, frame: Frame, ledger: &mut Ledger<'_>) -> Result<Drawing> {
         self.doing = format!("frame {} was drawn", frame.number);
         let start = Instant::now();
-        let mut canvas = Canvas::new(frame, self.nodes);
-        for index in self.living_nodes() {
-            self.give(index, &Order::Draw(frame), &mut canvas)?;
-        }
-        // What nodes would have drawn that died in earlier frames.
-        self.deal_again(&mut canvas)?;
-        self.kill_as_asked(&canvas);
-        while !canvas.is_whole() {
+        let mut canvas = Canvas::new(frame);
+        ledger.begin(frame.number);
+        self.tell_all(&Order::Draw(frame))?;
+        self.deal(ledger)?;
+        self.kill_as_asked(&canvas, ledger);
+        while ledger.missing() > 0 {
             for (index, event) in self.listen()? {
                 let context = || format!("{} sent", self.processes[index].name);
+                let node = u16::try_from(index)?;
                 match event {
-                    Event::News(News::Tiles(batch)) => canvas.put(&batch).with_context(context)?,
-                    Event::News(News::Drawn(frame)) => canvas.settle(index, frame).with_context(context)?,
-                    Event::Death => self.go_on_without(index, &mut canvas)?,
+                    Event::News(News::Tiles(batch)) => {
+                        canvas.put(node, &batch, ledger).with_context(context)?
+                    }
+                    Event::News(News::Balance(message)) => {
+                        let (message, _) = Message::parse(&message).with_context(context)?;
+                        // What is refused has been said before, or is of a view that is over.
+                        let _ = ledger.handle_message(&message);
+                    }
+                    Event::Death => self.go_on_without(node, ledger),
                     other @ Event::News(_) => self.reject(index, &other)?,
                 }
-                self.kill_as_asked(&canvas);
+                self.deal(ledger)?;
+                self.kill_as_asked(&canvas, ledger);
             }
         }
         let ms = start.elapsed().as_secs_f64() * 1000.0;
         let (picture, counts) = canvas.into_parts();
-        Ok(Drawing { picture, counts, ms })
+        Ok(Drawing { picture, counts, ms, moved_tiles: ledger.moved() })
     }
 
     /// Has every process report, and sees each one end. Tells of those that did not live to do so.
@@ -158,7 +167,8 @@ impl Supervisor {
                         reports[index] = Some(*report);
                         self.processes[index].is_done = true;
                     }
-                    Event::Death => {}
+                    // Of frames that are whole without it.
+                    Event::Death | Event::News(News::Tiles(_) | News::Balance(_)) => {}
                     other @ Event::News(_) => self.reject(index, &other)?,
                 }
             }
@@ -170,42 +180,27 @@ impl Supervisor {
     }
 
     /// Has the living nodes draw what a node that has just died still owed.
-    fn go_on_without(&mut self, index: usize, canvas: &mut Canvas) -> Result<()> {
-        canvas.forgive(index);
-        let dealt_again = self.deal_again(canvas)?;
+    fn go_on_without(&mut self, node: u16, ledger: &mut Ledger<'_>) {
+        let dealt_again = ledger.handle_down(node);
         if let Some(loss) = self.losses.last_mut() {
-            loss.tiles_dealt_again = dealt_again;
+            loss.tiles_dealt_again = dealt_again as usize;
+        }
+    }
+
+    /// Sends what the ledger has to say. Links lose nothing, so nothing is said again.
+    fn deal(&self, ledger: &mut Ledger<'_>) -> Result<()> {
+        let mut buffer = [0; MESSAGE_BYTES_MAX];
+        while let Output::Transmit { to, length } = ledger.poll(now().as_micros(), &mut buffer) {
+            let order = Order::Balance(buffer[..length].to_vec());
+            self.processes[usize::from(to)].send(&order.to_packet()?, &[])?;
         }
         Ok(())
     }
 
-    /// Deals the missing tiles of dead nodes to the living; tells how many there were.
-    fn deal_again(&mut self, canvas: &mut Canvas) -> Result<usize> {
-        let living = self.living_nodes();
-        let missing = canvas.missing_of(|node| self.processes[node].is_dead);
-        for (turn, node) in living.iter().enumerate() {
-            let tiles: Vec<TileId> = missing.iter().skip(turn).step_by(living.len()).copied().collect();
-            canvas.deal(&tiles, *node);
-            for tiles in tiles.chunks(TILES_IN_PACKET_MAX) {
-                self.give(*node, &Order::DrawTiles(canvas.frame(), tiles.to_vec()), canvas)?;
-            }
-        }
-        Ok(missing.len())
-    }
-
-    /// Gives a node something to draw, of which each of its threads says when it is done.
-    fn give(&self, index: usize, order: &Order, canvas: &mut Canvas) -> Result<()> {
-        canvas.owe(index, self.threads);
-        self.processes[index].send(&order.to_packet()?, &[])
-    }
-
-    fn living_nodes(&self) -> Vec<usize> {
-        (0..self.nodes).filter(|index| !self.processes[*index].is_dead).collect()
-    }
-
     /// Kills the processes whose time has come.
-    fn kill_as_asked(&mut self, canvas: &Canvas) {
-        let is_due = |kill: &Kill| kill.frame == canvas.frame().number && canvas.present() >= kill.tiles;
+    fn kill_as_asked(&mut self, canvas: &Canvas, ledger: &Ledger<'_>) {
+        let present = (canvas.tile_count() - ledger.missing()) as usize;
+        let is_due = |kill: &Kill| kill.frame == canvas.frame().number && present >= kill.tiles;
         let processes = &mut self.processes;
         self.kills.retain(|kill| {
             if is_due(kill)

@@ -1,5 +1,5 @@
 //! `NO_ALLOC`: both cores linked into a program that has no allocator, no C library and no unwinder, and put to work
-//! in it: a page is faulted in, and tiles of triangles and of spheres are traced. The exit code says how far it came; 0 is all the way.
+//! in it: a page is faulted in, tiles of triangles and of spheres are traced, and two nodes share the tiles of a frame. The exit code says how far it came; 0 is all the way.
 //!
 //! `./ci.sh nostd` builds it, runs it, and looks through its symbols.
 #![no_std]
@@ -16,6 +16,10 @@ use dsm_core::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
 use dsm_core::time::Instant;
 use dsm_core::wire::{HEADER_BYTES, Message};
 use rt_core::camera::OrbitPlace;
+use rt_core::schedule::ledger::{self, Arrival, DealtNode, DealtTile, LedgerConfig};
+use rt_core::schedule::message::MESSAGE_BYTES_MAX;
+use rt_core::schedule::worker::{self, PeerEntry as NodeEntry, TileEntry, WorkerConfig};
+use rt_core::schedule::{self, Balancer, Ledger, LedgerStorage, PageMap, Worker, WorkerStorage};
 use rt_core::{Flat, Frame, Kernel, Orbit, SceneView, TILE_SIZE, TileId, Tiles, WorkCounts, render_tile};
 
 /// A scene image as a file on disk or a page from the network would have it, aligned as a page is.
@@ -30,6 +34,7 @@ static SPHERES: &Aligned<[u8]> = &Aligned(*include_bytes!(concat!(env!("OUT_DIR"
 enum Trouble {
     Paging = 1,
     Tracing = 2,
+    Balancing = 3,
 }
 
 fn work() -> Result<(), Trouble> {
@@ -39,7 +44,7 @@ fn work() -> Result<(), Trouble> {
     for image in [TRIANGLES, SPHERES] {
         trace(&image.0).filter(|hits| *hits > 0).ok_or(Trouble::Tracing)?;
     }
-    Ok(())
+    balance().ok_or(Trouble::Balancing)
 }
 
 /// Faults on each page of another node in turn, through a cache of two.
@@ -102,6 +107,77 @@ fn trace(image: &[u8]) -> Option<u64> {
         hits += counted.hits;
     }
     Some(hits)
+}
+
+/// Has two nodes draw a frame, of which the second is much faster and takes what the first has too much of.
+fn balance() -> Option<()> {
+    const TILES: usize = 16;
+    let tiles = Tiles::of(4 * TILE_SIZE, 4 * TILE_SIZE);
+    let (balancer, resend_us, seed) = (Balancer::StealNear, 1000, 1);
+    let (mut dealt, mut order, mut nodes) = ([DealtTile::EMPTY; TILES], [0; TILES], [DealtNode::EMPTY; 2]);
+    let config =
+        LedgerConfig { epoch: 1, nodes: 2, threads: 1, tiles, balancer, resend_us, confirms: false, seed };
+    let storage = LedgerStorage { tiles: &mut dealt, order: &mut order, nodes: &mut nodes };
+    let mut ledger = Ledger::new(config, storage);
+    let mut entries = [[TileEntry::EMPTY; TILES]; 2];
+    let mut orders = [[0; TILES]; 2];
+    let mut peers = [[NodeEntry::EMPTY; 3]; 2];
+    let ([first, second], [one, other], [left, right]) = (&mut entries, &mut orders, &mut peers);
+    let worker = |me, tiles_of, order, peers| {
+        let config = WorkerConfig {
+            epoch: 1,
+            me,
+            nodes: 2,
+            threads: 1,
+            tiles,
+            balancer,
+            resend_us,
+            is_display_reliable: true,
+            seed,
+        };
+        Worker::new(config, WorkerStorage { tiles: tiles_of, order, peers })
+    };
+    let mut workers = [worker(0, first, one, left), worker(1, second, other, right)];
+    ledger.begin(1);
+    for step in 0..1000 {
+        pass_messages(&mut ledger, &mut workers)?;
+        if ledger.missing() == 0 {
+            return (workers[1].stats().taken > 0).then_some(());
+        }
+        // The first has its turn once in eight.
+        let index = usize::from(step % 8 != 0);
+        if let Some(tile) = workers[index].take(0) {
+            workers[index].handle_drawn(0, 1, tile, 1000, PageMap::of([tile.0], 16)).then_some(())?;
+            let node = if index == 0 { 0 } else { 1 };
+            (ledger.handle_drawn(node, 1, tile) == Arrival::First).then_some(())?;
+        }
+    }
+    None
+}
+
+/// Delivers all that the two nodes and the display have to say.
+fn pass_messages(ledger: &mut Ledger<'_>, workers: &mut [Worker<'_>; 2]) -> Option<()> {
+    let mut buffer = [0; MESSAGE_BYTES_MAX];
+    loop {
+        let mut is_quiet = true;
+        while let ledger::Output::Transmit { to, length } = ledger.poll(0, &mut buffer) {
+            let (message, _) = schedule::Message::parse(&buffer[..length]).ok()?;
+            workers.get_mut(usize::from(to))?.handle_message(0, &message).ok()?;
+        }
+        for index in 0..2 {
+            while let worker::Output::Transmit { to, length } = workers[index].poll(0, &mut buffer) {
+                is_quiet = false;
+                let (message, _) = schedule::Message::parse(&buffer[..length]).ok()?;
+                match workers.get_mut(usize::from(to)) {
+                    Some(worker) => worker.handle_message(0, &message).ok()?,
+                    None => ledger.handle_message(&message).ok()?,
+                }
+            }
+        }
+        if is_quiet {
+            return Some(());
+        }
+    }
 }
 
 extern "C" fn start() -> ! {
