@@ -9,6 +9,8 @@
 //! | [`table1`] | hits and misses, as in the paper's Table 1 |
 //! | [`scaling`] | frame rate over nodes and memory |
 //! | [`paging_core`] | what one fault costs the state machine alone |
+//! | [`fig7`] | misses and frame rate by balancer, as in the paper's Figure 7 |
+//! | [`balance`] | stiff cases of balancing in virtual time |
 //! | [`replacement`] | misses of the replacement policies, and what prefetch spares |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
 //! | [`left_out`] | what a scene does not need |
@@ -23,11 +25,13 @@
 //! Every experiment first asserts that its subject is right, and then times it, in turns with what it is compared
 //! with: absolute times of a shared machine mean little, ratios of neighbouring moments mean much.
 
+mod balance;
 mod command_line;
 mod data;
 mod distance;
 mod embree;
 mod experiment;
+mod fig7;
 mod findings;
 mod left_out;
 mod machine;
