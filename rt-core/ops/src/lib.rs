@@ -8,7 +8,7 @@
 //! |---|---|
 //! | `EXACTLY_ONCE` | no tile of a frame is displayed twice, and of a frame that is whole each is displayed |
 //! | `NO_LOST_TILE` | a tile that is missing is with somebody who lives, or will be sent again, or is known to be to be dealt anew |
-//! | `DRAWN_ONCE` | in the view that holds no tile is begun twice, whatever the network loses, doubles or reorders |
+//! | `DRAWN_ONCE` | in the view that holds no missing tile is begun twice, whatever the network loses, doubles or reorders |
 //! | `TERMINATES` | when the network delivers and somebody lives, the frame becomes whole |
 //! | `RESTS` | when a frame is whole and all has been delivered, nobody has anything more to say |
 //! | `BELIEVES_NO_STRANGER` | bytes that changed on the way, another epoch, a message for somebody else: refused |

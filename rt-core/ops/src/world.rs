@@ -25,7 +25,7 @@ pub struct World<'m> {
     under_way: Vec<Packet>,
     /// How often each tile of this frame was displayed.
     shown: Vec<u8>,
-    /// How often each tile of this frame was begun in each view, as long as that was the display's.
+    /// How often each tile of this frame was begun in each view, as long as that was the display's and the tile missing.
     begun: BTreeMap<(u32, u16), u8>,
     tally: Tally,
 }
@@ -279,7 +279,7 @@ impl<'m> World<'m> {
         if let (Some(tile), Some(stamp)) = (worker.take(now_us), worker.stamp()) {
             member.drawing.push((stamp.frame, tile));
             // A node that has come back may hear of a view that ended with its former life; that one is void.
-            if stamp == self.ledger.stamp() {
+            if stamp == self.ledger.stamp() && !self.ledger.is_shown(tile) {
                 let times = self.begun.entry((tile.0, stamp.view)).or_default();
                 *times += 1;
                 assert_eq!(*times, 1, "DRAWN_ONCE: {tile:?} is begun twice in {stamp:?}");

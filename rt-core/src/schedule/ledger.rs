@@ -266,7 +266,8 @@ impl<'s> Ledger<'s> {
             self.handle_down(node);
         }
         self.nodes[index] = DealtNode::EMPTY;
-        if self.missing > 0 {
+        if !self.is_first {
+            // Also when the frame is whole: so it learns what is over.
             self.nodes[index].deal.open();
             self.has_mail = true;
             self.top_up();

@@ -666,7 +666,7 @@ impl<'s> Worker<'s> {
 }
 
 /// What is queued is shared when it takes longer than this part of what the node drew in the last frame.
-const MARGIN_PART: u64 = 32;
+const MARGIN_PART: u64 = 8;
 
 /// And longer than this, in microseconds a thread: about what it takes to give a tile away and to miss its pages.
 const MARGIN_US: u64 = 200;
