@@ -23,6 +23,8 @@ pub(crate) enum Order {
     Balance(Vec<u8>),
     /// The process of this number is dead; ask it for nothing.
     Down(u16),
+    /// Finish the tiles under way, and take no more.
+    Halt,
     /// Report and end.
     Stop,
 }
@@ -38,6 +40,8 @@ pub(crate) enum News {
     Tiles(TileBatch),
     /// A node's part of the balance, for the display.
     Balance(Vec<u8>),
+    /// I draw no more, and need no more pages.
+    Halted,
     /// I have to give up.
     Failed(String),
     /// What I have counted; the last packet.
@@ -146,6 +150,7 @@ impl Order {
             Self::Draw(frame) => [b"D", frame.as_bytes()].concat(),
             Self::Balance(message) => [&b"B"[..], message].concat(),
             Self::Down(process) => [&b"N"[..], &process.to_le_bytes()].concat(),
+            Self::Halt => vec![b'H'],
             Self::Stop => vec![b'X'],
         })
     }
@@ -157,6 +162,7 @@ impl Order {
             [b'D', frame @ ..] => Ok(Self::Draw(Frame::read(frame)?)),
             [b'B', message @ ..] => Ok(Self::Balance(message.to_vec())),
             [b'N', low, high] => Ok(Self::Down(u16::from_le_bytes([*low, *high]))),
+            [b'H'] => Ok(Self::Halt),
             [b'X'] => Ok(Self::Stop),
             _ => bail!("an order of {} bytes that is none", packet.len()),
         }
@@ -168,6 +174,7 @@ impl News {
         Ok(match self {
             Self::Ready => vec![b'R'],
             Self::Alive => vec![b'A'],
+            Self::Halted => vec![b'H'],
             Self::Tiles(batch) => batch.to_packet(),
             Self::Balance(message) => [&b"B"[..], message].concat(),
             Self::Failed(why) => [b"F", why.as_bytes()].concat(),
@@ -179,6 +186,7 @@ impl News {
         match packet {
             [b'R'] => Ok(Self::Ready),
             [b'A'] => Ok(Self::Alive),
+            [b'H'] => Ok(Self::Halted),
             [b'T', rest @ ..] => Ok(Self::Tiles(TileBatch::from_bytes(rest)?)),
             [b'B', message @ ..] => Ok(Self::Balance(message.to_vec())),
             [b'F', why @ ..] => Ok(Self::Failed(String::from_utf8_lossy(why).into_owned())),

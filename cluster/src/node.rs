@@ -79,6 +79,8 @@ struct Crew {
     region: Option<Arc<Region>>,
     balance: Option<Arc<Balance>>,
     painters: Vec<JoinHandle<Result<ThreadStats>>>,
+    /// What the painters have counted that have ended.
+    miss_ns: Histogram,
     server: Option<JoinHandle<HomeStats>>,
     stop: Arc<AtomicBool>,
     /// A store's pages, so that they count as its memory.
@@ -143,7 +145,7 @@ impl Process {
             Some(_) => bail!("the order after the plan is not to go"),
             None => return Ok(()),
         }
-        let crew = self.start()?;
+        let mut crew = self.start()?;
         loop {
             match self.next_order()? {
                 Some(Order::Draw(frame)) => crew.balance.iter().for_each(|balance| balance.begin(frame)),
@@ -153,6 +155,10 @@ impl Process {
                 Some(Order::Down(process)) => {
                     crew.region.iter().for_each(|region| region.handle_peer_down(NodeId(process)));
                     crew.balance.iter().for_each(|balance| balance.handle_peer_down(process));
+                }
+                Some(Order::Halt) => {
+                    crew.halt()?;
+                    self.link.send(&News::Halted.to_packet()?)?;
                 }
                 Some(Order::Stop) => break,
                 Some(Order::SetUp(_) | Order::Go) => bail!("a second plan, or a second start"),
@@ -175,7 +181,15 @@ impl Process {
         let server = self.start_server(&stop)?;
         if !self.renders() {
             let held = self.routes.own().map(|(pages, _)| pages.hold()).transpose()?;
-            return Ok(Crew { region: None, balance: None, painters: Vec::new(), server, stop, _held: held });
+            return Ok(Crew {
+                region: None,
+                balance: None,
+                painters: Vec::new(),
+                miss_ns: Histogram::EMPTY,
+                server,
+                stop,
+                _held: held,
+            });
         }
         let region = self.region()?;
         let kernel = self.kernel()?;
@@ -205,7 +219,15 @@ impl Process {
             Ok(thread::Builder::new().name(name).spawn(body)?)
         });
         let painters = painters.collect::<Result<_>>()?;
-        Ok(Crew { region: Some(region), balance: Some(balance), painters, server, stop, _held: None })
+        Ok(Crew {
+            region: Some(region),
+            balance: Some(balance),
+            painters,
+            miss_ns: Histogram::EMPTY,
+            server,
+            stop,
+            _held: None,
+        })
     }
 
     fn start_server(&self, stop: &Arc<AtomicBool>) -> Result<Option<JoinHandle<HomeStats>>> {
@@ -352,15 +374,21 @@ impl Process {
 }
 
 impl Crew {
-    fn end(self) -> Result<(Histogram, HomeStats, BalanceStats)> {
-        let balance = self.balance.map(|balance| balance.end()).unwrap_or_default();
-        let mut miss_ns = Histogram::EMPTY;
-        for thread in self.painters {
-            miss_ns.merge(&thread.join().map_err(|_| anyhow!("a render thread panicked"))??.miss_ns);
+    /// Waits until the tiles under way are drawn. Nobody wants them: they were drawn twice because somebody died, or the
+    /// run is over.
+    fn halt(&mut self) -> Result<BalanceStats> {
+        let balance = self.balance.as_ref().map(|balance| balance.end()).unwrap_or_default();
+        for thread in self.painters.drain(..) {
+            self.miss_ns.merge(&thread.join().map_err(|_| anyhow!("a render thread panicked"))??.miss_ns);
         }
+        Ok(balance)
+    }
+
+    fn end(mut self) -> Result<(Histogram, HomeStats, BalanceStats)> {
+        let balance = self.halt()?;
         self.stop.store(true, Ordering::Relaxed);
         let home = self.server.map(|server| server.join().map_err(|_| anyhow!("the server thread panicked")));
-        Ok((miss_ns, home.transpose()?.unwrap_or_default(), balance))
+        Ok((self.miss_ns, home.transpose()?.unwrap_or_default(), balance))
     }
 }
 

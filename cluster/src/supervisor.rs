@@ -158,6 +158,7 @@ impl Supervisor {
     /// Has every process report, and sees each one end. Tells of those that did not live to do so.
     pub(crate) fn finish(mut self) -> Result<(Vec<ProcessReport>, Vec<Loss>)> {
         "the cluster ended".clone_into(&mut self.doing);
+        self.halt()?;
         self.tell_all(&Order::Stop)?;
         let mut reports: Vec<Option<ProcessReport>> = self.processes.iter().map(|_| None).collect();
         while self.processes.iter().any(|process| !process.is_done) {
@@ -177,6 +178,23 @@ impl Supervisor {
             process.see_end(self.deadline)?;
         }
         Ok((reports.into_iter().flatten().collect(), core::mem::take(&mut self.losses)))
+    }
+
+    /// Has every node draw no more. Whoever still draws needs the pages of all others, so nobody ends before.
+    fn halt(&mut self) -> Result<()> {
+        self.tell_all(&Order::Halt)?;
+        let mut is_halted = vec![false; self.processes.len()];
+        while (0..self.processes.len()).any(|index| !is_halted[index] && !self.processes[index].is_done) {
+            for (index, event) in self.listen()? {
+                match event {
+                    Event::News(News::Halted) => is_halted[index] = true,
+                    // Of frames that are whole without it.
+                    Event::Death | Event::News(News::Tiles(_) | News::Balance(_)) => {}
+                    other @ Event::News(_) => self.reject(index, &other)?,
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Has the living nodes draw what a node that has just died still owed.
