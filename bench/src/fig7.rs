@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use memsavvy::report::RunReport;
 use memsavvy::run::{self, Options, Source};
+use memsavvy::session::Path as Way;
 use memsavvy::size::{Memory, PictureSize};
 use rt_core::schedule::Balancer;
 use scene::{BuildOptions, Mesh, build, builtin, read_mesh};
@@ -97,7 +98,7 @@ fn measure(image: &Path, name: &str, effort: Effort) -> Result<Findings> {
         // In turns, so that what else the machine does meets all of them.
         for _ in 0..reps {
             for of in &mut runs {
-                of.runs.push(run::run(&options(image, of.balancer, *share, frames, size), |_, _| Ok(()))?);
+                of.runs.push(run::run(&options(image, of.balancer, *share, frames, size)?, |_, _| Ok(()))?);
             }
         }
         all.extend(runs);
@@ -115,8 +116,9 @@ fn measure(image: &Path, name: &str, effort: Effort) -> Result<Findings> {
     })
 }
 
-fn options(image: &Path, balance: Balancer, share: u32, frames: u32, size: u32) -> Options {
-    Options {
+fn options(image: &Path, balance: Balancer, share: u32, frames: u32, size: u32) -> Result<Options> {
+    let way = Way { frames, circle: Some(180), radius: 0.75, ..Way::default() };
+    Ok(Options {
         source: Source::Path(image.to_owned()),
         nodes: NODES,
         stores: 1,
@@ -125,12 +127,11 @@ fn options(image: &Path, balance: Balancer, share: u32, frames: u32, size: u32) 
         page_bytes: Some(PAGE_BYTES),
         balance,
         size: PictureSize { width: size, height: size },
-        frames,
-        radius: 0.75,
+        session: way.session()?,
         deadline: Duration::from_secs(60),
         quiet: true,
         ..Options::default()
-    }
+    })
 }
 
 fn expect_same_images(all: &[Runs]) -> Result<()> {
@@ -174,7 +175,7 @@ fn find(all: &[Runs], balancer: Balancer, share: u32) -> Option<&Runs> {
 
 fn table(all: &[Runs], name: &str, frames: u32, size: u32, reps: usize) -> Table {
     let title = format!(
-        "{name}: {size}x{size}, {frames} frames of an orbit, {NODES} nodes of one thread, a store, pages of 4 KB, median of {reps}"
+        "{name}: {size}x{size}, {frames} frames of an orbit of two degrees a frame, {NODES} nodes of one thread, a store, pages of 4 KB, median of {reps}"
     );
     let heads = ["memory %", "balancer", "misses a frame", "over demand:1", "fps", "tiles moved a frame"];
     let mut table = Table::new("fig7", title, &heads);

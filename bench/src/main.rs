@@ -13,6 +13,7 @@
 //! | [`balance`] | stiff cases of balancing in virtual time |
 //! | [`replacement`] | misses of the replacement policies, and what prefetch spares |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
+//! | [`peers`] | other programs that draw what we draw, and our kernels beside them |
 //! | [`left_out`] | what a scene does not need |
 //! | [`sim`] | the simulator: events a second |
 //! | [`findings`], [`table`], [`plot`], [`spread`] | what an experiment gives back, and how it is shown |
@@ -38,6 +39,7 @@ mod machine;
 mod memory;
 mod owner;
 mod paging_core;
+mod peers;
 mod plot;
 mod quiet;
 mod replacement;
