@@ -85,7 +85,7 @@ fn no_stiff_case_costs_more_than_static_by_more_than_its_margin() {
         (Case::Steady, 1.02, 5),
         (Case::DearTile, 1.02, 5),
         (Case::Alternating, 1.15, 5),
-        (Case::SlowNode, 0.1, 8),
+        (Case::SlowNode, 0.1, 20),
         (Case::Stalls, 1.05, usize::MAX),
         (Case::Far, 1.1, 8),
     ] {

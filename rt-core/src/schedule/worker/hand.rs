@@ -13,6 +13,8 @@ pub struct TileEntry {
     /// What it takes here to draw it, in microseconds: measured and smoothed, or a guess; 0 before the first.
     pub(super) cost_us: u32,
     pub(super) is_measured: bool,
+    /// It came from another node in this frame, with its cost.
+    pub(super) is_gift: bool,
     pub(super) map: PageMap,
 }
 
@@ -78,6 +80,7 @@ impl<'s> Hand<'s> {
     /// Puts away what is queued, and everything if a new frame begins. Odd frames are drawn backwards.
     pub(super) fn clear(&mut self, frame: u32, is_new_frame: bool, dear_us: u32) {
         for tile in self.tiles.iter_mut() {
+            tile.is_gift &= !is_new_frame;
             if is_new_frame || matches!(tile.state, TileState::Queued | TileState::Given) {
                 tile.state = TileState::Elsewhere;
             }
@@ -111,6 +114,7 @@ impl<'s> Hand<'s> {
         let Some(entry) = self.entry(gift.tile) else { return };
         if gift.cost_us > 0 {
             (entry.cost_us, entry.is_measured, entry.map) = (gift.cost_us, true, gift.map);
+            entry.is_gift = true;
         }
         self.queue(gift.tile);
     }
@@ -182,8 +186,14 @@ impl<'s> Hand<'s> {
 
 impl TileEntry {
     /// A tile of which nothing is known.
-    pub const EMPTY: Self =
-        Self { state: TileState::Elsewhere, to: 0, cost_us: 0, is_measured: false, map: PageMap::EMPTY };
+    pub const EMPTY: Self = Self {
+        state: TileState::Elsewhere,
+        to: 0,
+        cost_us: 0,
+        is_measured: false,
+        is_gift: false,
+        map: PageMap::EMPTY,
+    };
 }
 
 /// What a tile is thought to take before any was drawn.

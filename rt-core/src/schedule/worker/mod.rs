@@ -129,6 +129,10 @@ pub struct Worker<'s> {
     /// Tiles that the display has not confirmed, and when the next of them are sent again.
     unconfirmed: u32,
     deliver_at_us: u64,
+    /// Nobody is asked before this frame: what was taken took much longer here than where it came from.
+    asks_from_frame: u32,
+    /// How often in a row that was so.
+    times_slow: u32,
     /// Something may be due to be sent.
     has_mail: bool,
     stats: WorkerStats,
@@ -157,6 +161,8 @@ impl<'s> Worker<'s> {
             busy_us: [0; 2],
             unconfirmed: 0,
             deliver_at_us: 0,
+            asks_from_frame: 0,
+            times_slow: 0,
             has_mail: false,
             stats: WorkerStats::default(),
         }
@@ -197,6 +203,8 @@ impl<'s> Worker<'s> {
         let entry = self.hand.entry(tile).filter(|entry| is_current && entry.state == TileState::Drawing);
         let Some(entry) = entry else { return false };
         entry.state = if is_reliable { TileState::Shown } else { TileState::Drawn { is_due: true } };
+        let told_us = core::mem::take(&mut entry.is_gift).then_some(entry.cost_us);
+        self.note_pace(frame, told_us, cost_us);
         self.hand.measure(tile, cost_us, map);
         self.maps[0] = self.maps[0].with(map);
         self.busy_us[0] += u64::from(cost_us);
@@ -309,7 +317,7 @@ impl<'s> Worker<'s> {
         let is_searching = self.asking.pending.is_some() || self.asking.pause_until_us.is_some();
         self.config.balancer.steals()
             && self.config.nodes > 1
-            && self.stamp.is_some()
+            && self.asks_in_frame()
             && !is_searching
             && !self.asking.is_resting()
     }
@@ -324,6 +332,7 @@ impl<'s> Worker<'s> {
         (self.stamp, self.unconfirmed, self.has_mail, self.maps, &self.dice).hash(hasher);
         let question = self.asking.pending.map(|question| (question.to, question.waits, question.is_due));
         (question, self.asking.number, self.asking.is_resting()).hash(hasher);
+        (self.asks_from_frame, self.times_slow).hash(hasher);
         self.hand.tiles.iter().for_each(|tile| (tile.state, tile.to, tile.cost_us).hash(hasher));
         self.peers.all.iter().for_each(|peer| peer.fingerprint(hasher));
     }
@@ -549,9 +558,26 @@ impl<'s> Worker<'s> {
         Ok(())
     }
 
+    /// Notes whether a tile that was given took much longer here than it was to take. A node that is slow lets some frames
+    /// go by before it takes from others again, twice as many each time.
+    fn note_pace(&mut self, frame: u32, told_us: Option<u32>, cost_us: u32) {
+        let Some(told_us) = told_us.filter(|_| self.config.balancer == Balancer::StealNear) else { return };
+        if cost_us <= told_us.saturating_mul(SLOW).max(SLOW_US) {
+            self.times_slow = 0;
+        } else if self.asks_from_frame <= frame {
+            self.times_slow = (self.times_slow + 1).min(SLOW_TIMES_MAX);
+            self.asks_from_frame = frame.saturating_add(1 << self.times_slow);
+        }
+    }
+
+    /// Whether a frame has begun in which others are asked.
+    fn asks_in_frame(&self) -> bool {
+        self.stamp.is_some_and(|stamp| stamp.frame >= self.asks_from_frame)
+    }
+
     /// Asks somebody, if there is nothing queued.
     fn look_for_work(&mut self, now_us: u64) {
-        if self.hand.queued > 0 || self.stamp.is_none() {
+        if self.hand.queued > 0 || !self.asks_in_frame() {
             return;
         }
         let map = self.map();
@@ -667,6 +693,13 @@ impl<'s> Worker<'s> {
 
 /// What is queued is shared when it takes longer than this part of what the node drew in the last frame.
 const MARGIN_PART: u64 = 8;
+
+/// A tile that takes so many times what it is to take, and at least so many microseconds, was drawn by a slow node.
+const SLOW: u32 = 4;
+const SLOW_US: u32 = 1000;
+
+/// A slow node lets at most two to this power of frames go by.
+const SLOW_TIMES_MAX: u32 = 6;
 
 /// And longer than this, in microseconds a thread: about what it takes to give a tile away and to miss its pages.
 const MARGIN_US: u64 = 200;
