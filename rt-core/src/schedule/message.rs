@@ -60,6 +60,10 @@ pub struct Message {
 
 /// What a message says.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "made, sent and dropped at once; without an allocator there is no box"
+)]
 pub enum Body {
     /// From the display: "these tiles are yours". Number 0 opens the view; what was dealt before is void.
     Deal {
@@ -348,8 +352,8 @@ fn collected<T, const N: usize>(all: impl Iterator<Item = T>) -> Option<Vec<T, N
 
 /// 32 bits of XXH3 over all that follows the checksum, with the kind in front.
 fn checksum(bytes: &[u8]) -> u32 {
-    let hash = xxh3_64(&bytes[field::EPOCH..]) ^ u64::from(bytes[3]);
-    (hash >> 32) as u32 ^ hash as u32
+    let [a, b, c, d, ..] = (xxh3_64(&bytes[field::EPOCH..]) ^ u64::from(bytes[3])).to_le_bytes();
+    u32::from_le_bytes([a, b, c, d])
 }
 
 fn count(length: usize) -> u16 {

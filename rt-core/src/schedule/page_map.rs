@@ -20,7 +20,10 @@ impl PageMap {
         let mut map = Self::EMPTY;
         for page in pages.into_iter().filter(|page| *page < page_count) {
             let part = u64::from(page) * u64::from(Self::PARTS) / u64::from(page_count);
-            map.0[part as usize / 64] |= 1 << (part % 64);
+            let words = (0..).step_by(64).zip(&mut map.0);
+            words
+                .filter(|(start, _)| (*start..start + 64).contains(&part))
+                .for_each(|(_, word)| *word |= 1 << (part % 64));
         }
         map
     }
