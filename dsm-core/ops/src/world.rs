@@ -320,7 +320,7 @@ impl World {
     pub(crate) fn carry_out(&mut self, node: usize, sent: Vec<Packet>, woken: Vec<usize>) {
         let (member, now) = (&mut self.members[node], self.now);
         for message in sent.iter().filter_map(Packet::message) {
-            member.oracle.note_request(&message);
+            member.oracle.note_request(&message, now);
         }
         if let Some(message) = sent.last().and_then(Packet::message) {
             let thread = member

@@ -188,6 +188,7 @@ impl<R: Replacement> Node<'_, R> {
             to_incarnation: Incarnation(0),
             page: request.page,
             request: request.number,
+            stamp_us: now.stamp(),
             body: Body::Request { offset, bytes },
         };
         let port = request.port;
