@@ -25,6 +25,11 @@ fn two_threads_lose_no_page_to_a_lost_message_and_a_death() {
 }
 
 #[test]
+fn pages_that_are_asked_for_ahead_keep_nobody_waiting() {
+    assert_holds(Cluster::AHEAD, 64_253, &[model::RETURN, model::LATE]);
+}
+
+#[test]
 fn a_node_that_comes_back_is_a_new_node() {
     assert_holds(Cluster::RETURN, 17_219, &[]);
 }

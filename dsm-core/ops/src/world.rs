@@ -1,8 +1,9 @@
 //! A cluster, its network, and the operations on them.
 
 use dsm_core::id::{Incarnation, NodeId, PageId};
-use dsm_core::node::Fault;
+use dsm_core::node::{Fault, Node};
 use dsm_core::page_state::PageState;
+use dsm_core::prefetch::Foretold;
 use dsm_core::time::Instant;
 use dsm_core::wire::{Body, HEADER_BYTES, Message};
 
@@ -157,6 +158,19 @@ impl World {
         ops
     }
 
+    /// Pages that idle threads could ask for ahead: what [`enabled`](Self::enabled) leaves out.
+    #[must_use]
+    pub fn asking_ahead(&self) -> Vec<Op> {
+        let ahead = |op: Op| match op {
+            Op::Read { node, thread, page } => {
+                let number = (AHEAD..=u8::MAX).find(|number| number % self.setup.pages == page)?;
+                Some(Op::Read { node, thread, page: number })
+            }
+            _ => None,
+        };
+        self.enabled().into_iter().filter_map(ahead).collect()
+    }
+
     /// The timers that could go off, with whether something is still on its way that would make them go off in vain.
     #[must_use]
     pub fn timers(&self) -> Vec<(Op, bool)> {
@@ -299,6 +313,24 @@ impl World {
         let wait = again.unwrap_or(Wait { page, since: now, world_since: world_now });
         member.settle(thread, answer, wait);
         self.carry_out(node, sent, woken);
+        if answer == Fault::Fetch {
+            self.bring_neighbours(node, thread, page);
+        }
+    }
+
+    /// A thread has missed a page and asks for some that follow it. It looks after them as after all that left through its
+    /// port, and waits for none.
+    fn bring_neighbours(&mut self, node: usize, thread: usize, page: PageId) {
+        let now = self.members[node].time(self.now);
+        let (count, sent, woken) =
+            self.members[node].input(None, |node| node.handle_neighbour_wish(now, page));
+        self.carry_out(node, sent, woken);
+        for next in (1..=count).map(|step| PageId(page.0 + step)) {
+            let ask =
+                |node: &mut Node<'_>| node.handle_prefetch(now, next, port(thread), Foretold::ByNeighbour);
+            let (_, sent, woken) = self.members[node].input(None, ask);
+            self.carry_out(node, sent, woken);
+        }
     }
 
     /// A thread asks for a page before it touches it, and waits for it, if it may.
@@ -309,7 +341,7 @@ impl World {
         self.carry_out(node, sent, woken);
         let member = &mut self.members[node];
         let (is_asked, sent, woken) =
-            member.input(None, |node| node.handle_prefetch(now, page, port(thread)));
+            member.input(None, |node| node.handle_prefetch(now, page, port(thread), Foretold::ByTile));
         if is_asked {
             member.threads[thread] = Thread::Fetching(Wait { page, since: now, world_since: world_now });
         }
@@ -333,6 +365,8 @@ impl World {
                 && let Some(next) = member.next_timer(thread)
                 && next.since(wait.world_since) + 1 < DEADLINE_US
                 && member.slack_us == 0
+                // What it has asked for besides has times of its own.
+                && self.setup.neighbours == 0
                 && !self.setup.is_rigid
             {
                 let left_us = DEADLINE_US.saturating_sub(now.since(wait.world_since));

@@ -174,8 +174,8 @@ impl<R: Replacement> Node<'_, R> {
         let page = self.requests.remove(index).page;
         if let (Effect::Map, Some(slot)) = (self.apply(page, PageEvent::Grant), self.table.slot(page)) {
             self.stats.fetched_pages += 1;
-            if !self.table.slots_mut()[slot.index()].prefetched {
-                self.prefetch.used();
+            if self.table.slots_mut()[slot.index()].prefetched.is_none() {
+                self.prefetch.fetched();
             }
             self.push(Pending::Done(Output::Map { page, slot, bytes }));
             if mutants::is_on(Mutant::EvictInUse) {
