@@ -18,7 +18,7 @@ use scene::builtin::BuiltIn;
 use scene::volume::StoredType;
 use scene::{Info, SceneFile};
 
-use crate::control::{BindTo, TransportKind};
+use crate::control::{BindTo, Prefetch, TransportKind};
 use crate::describe::{describe_histogram, describe_volume};
 use crate::output::{Destination, check_folder_of, write_whole};
 use crate::report::{RunReport, counted, thousands};
@@ -64,7 +64,7 @@ Examples:
   memsavvy render gyroid:256 --iso 0,0.5@0.3 --radius 0.75 -o gyroid.png
   memsavvy render dragon.msv -o orbit-%03d.png --frames 36 --radius 0.75
   memsavvy render dragon.msv --nodes 2 --stores 2 --memory 16% --report run.json
-  memsavvy render dragon.msv --nodes 4 --memory 5M --page 4K --backend segv --policy fifo")]
+  memsavvy render dragon.msv --nodes 4 --memory 5M --page 4K --backend segv --replacement fifo")]
 struct Render {
     /// A mesh (PLY, OBJ), a volume (NRRD, NIfTI, VTI, raw:FILE?dims=XxYxZ&type=u8), a scene image made by `memsavvy
     /// prepare`, or what is built in: knot:TRIANGLES, sphereflake:DEPTH, gyroid:SAMPLES or ml:SAMPLES
@@ -122,8 +122,8 @@ struct Cluster {
     #[arg(long, value_name = "NAME", default_value = "auto", value_parser = backend)]
     backend: Backend,
     /// Which page leaves for another: random, fifo, clock, sieve, s3-fifo or recall
-    #[arg(long, visible_alias = "replacement", value_name = "NAME", default_value_t = PolicyKind::Recall)]
-    policy: PolicyKind,
+    #[arg(long, value_name = "NAME", default_value_t = PolicyKind::Recall)]
+    replacement: PolicyKind,
     /// How it learns which pages are used: hints, at the end of each tile; soft-faults, by hiding pages before they
     /// leave; or none
     #[arg(long, value_name = "NAME", default_value_t = ReferenceSource::Hints)]
@@ -131,9 +131,10 @@ struct Cluster {
     /// With soft-faults, how many per cent of the slots hold hidden pages
     #[arg(long, value_name = "PERCENT", default_value_t = HIDDEN_PER_CENT, value_parser = clap::value_parser!(u32).range(1..=90))]
     hidden: u32,
-    /// With hints, do not bring the pages that a tile used in the last frame before it starts
-    #[arg(long)]
-    no_prefetch: bool,
+    /// Which pages come before they are touched: with hints, those that a tile used in the last frame; those that follow a
+    /// missed one; both; or none. Either turns itself off where it does not pay
+    #[arg(long, value_name = "WHICH", value_enum, default_value_t = Prefetch::Tiles)]
+    prefetch: Prefetch,
     /// How tiles are drawn: auto, avx512, avx2, portable (beams with these instructions), rays, or rays-avx2 and so on; all draw the same
     #[arg(long, value_name = "NAME", default_value = "auto", value_parser = kernel)]
     kernel: ChosenKernel,
@@ -146,8 +147,8 @@ struct Cluster {
     /// Lose this many of a thousand messages, for tests
     #[arg(long, value_name = "N", default_value_t = 0, hide = true, value_parser = clap::value_parser!(u32).range(0..1000))]
     lose: u32,
-    /// Kill this process once so many tiles of this frame are there, for tests
-    #[arg(long, value_name = "PROCESS@FRAME:TILES", hide = true)]
+    /// Kill this process once so many tiles of this frame are there, or at the start, for tests
+    #[arg(long, value_name = "PROCESS@FRAME:TILES|start", hide = true)]
     kill: Vec<Kill>,
     /// Makes what is random repeatable
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -326,10 +327,10 @@ impl Render {
             memory: cluster.memory,
             page_bytes: cluster.page,
             backend: cluster.backend.0,
-            policy: cluster.policy,
+            policy: cluster.replacement,
             reference: cluster.reference,
             hidden_per_cent: cluster.hidden,
-            prefetch: !cluster.no_prefetch,
+            prefetch: cluster.prefetch,
             kernel: cluster.kernel.0,
             transport: cluster.transport,
             size: view.size,

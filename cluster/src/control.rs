@@ -64,7 +64,7 @@ pub(crate) struct SetUp {
     /// A source of reference bits by name.
     pub(crate) reference: String,
     pub(crate) hidden_per_cent: u32,
-    pub(crate) prefetch: bool,
+    pub(crate) prefetch: Prefetch,
     pub(crate) kernel: String,
     pub(crate) transport: TransportKind,
     pub(crate) spin_us: u64,
@@ -74,6 +74,19 @@ pub(crate) struct SetUp {
     pub(crate) seed: u64,
     /// Tiles sent at a time at most; fewer than a packet holds for tests that count them.
     pub(crate) batch_tiles: u16,
+}
+
+/// Which pages come before they are touched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+pub enum Prefetch {
+    /// None.
+    None,
+    /// Those that follow a missed page in address order, as many as are used.
+    Neighbours,
+    /// Those that a tile touched in the last frame, before it starts, where hints are the source.
+    Tiles,
+    /// Both.
+    Both,
 }
 
 /// How pages travel.

@@ -13,7 +13,7 @@ use std::thread::{self, JoinHandle};
 
 use anyhow::{Context, Result, anyhow, bail};
 use dsm_core::id::{ClusterId, NodeId};
-use dsm_core::node::Config;
+use dsm_core::node::{Config, NEIGHBOURS_MAX};
 use dsm_core::placement::Stripes;
 use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use dsm_core::stats::{Histogram, HomeStats};
@@ -24,7 +24,7 @@ use rustix::process::{Signal, set_parent_process_death_signal};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use transport_shm::{HeldPages, Server, now};
 
-use crate::control::{Files, News, Order, SetUp};
+use crate::control::{Files, News, Order, Prefetch, SetUp};
 use crate::link::Link;
 use crate::painter::{Job, Painter};
 use crate::ports::{EPOCH, Routes, layout};
@@ -128,22 +128,25 @@ impl Process {
     }
 
     fn run(self) -> Result<()> {
-        // Until every process has filled its pages nobody reads any: what is read never changes.
-        match self.next_order()? {
-            Some(Order::Go) => {}
-            Some(_) => bail!("the order after the plan is not to go"),
-            None => return Ok(()),
+        // Until every process has filled its pages, or is dead, nobody reads any: what is read never changes.
+        let mut dead = Vec::new();
+        loop {
+            match self.next_order()? {
+                Some(Order::Go) => break,
+                Some(Order::Down(process)) => dead.push(process),
+                Some(_) => bail!("the order after the plan is not to go"),
+                None => return Ok(()),
+            }
         }
         let crew = self.start()?;
+        dead.into_iter().for_each(|process| crew.bury(process));
         loop {
             match self.next_order()? {
                 Some(Order::Draw(frame)) => crew.begin(self.job(frame)),
                 Some(Order::DrawTiles(frame, tiles)) => {
                     crew.draw(Job::new(frame, Tiles::of(frame.width, frame.height), tiles));
                 }
-                Some(Order::Down(process)) => {
-                    crew.region.iter().for_each(|region| region.handle_peer_down(NodeId(process)));
-                }
+                Some(Order::Down(process)) => crew.bury(process),
                 Some(Order::Stop) => break,
                 Some(Order::SetUp(_) | Order::Go) => bail!("a second plan, or a second start"),
                 // The supervisor is gone. So is the reason to be here.
@@ -218,6 +221,8 @@ impl Process {
             // SAFETY: the image is a memory file that the supervisor has sealed against writing and shrinking.
             return Ok(unsafe { Region::replicated(self.image.as_fd(), pages, page_bytes as usize) }?);
         }
+        let SetUp { hidden_per_cent, prefetch, .. } = self.set_up;
+        let has_neighbours = matches!(prefetch, Prefetch::Neighbours | Prefetch::Both);
         let node = Config {
             cluster: ClusterId(cluster),
             epoch: EPOCH,
@@ -225,6 +230,7 @@ impl Process {
             resend_us_min: RESEND_US.min(deadline_us),
             dead_after_us: deadline_us,
             deadline_us,
+            neighbours_max: if has_neighbours { NEIGHBOURS_MAX } else { 0 },
             ..Config::new(self.me(), self.placement, page_bytes)
         };
         let home = match self.routes.own() {
@@ -233,7 +239,6 @@ impl Process {
         };
         let policy: PolicyKind = self.set_up.policy.parse()?;
         let reference: ReferenceSource = self.set_up.reference.parse()?;
-        let SetUp { hidden_per_cent, prefetch, .. } = self.set_up;
         let backend = match self.set_up.backend.as_str() {
             "auto" => None,
             name => Some(name.parse::<BackendKind>()?),
@@ -244,7 +249,7 @@ impl Process {
             policy,
             reference,
             hidden_per_cent,
-            prefetch,
+            prefetch: matches!(prefetch, Prefetch::Tiles | Prefetch::Both),
             seed,
             slot_count: slots,
             home,
@@ -300,9 +305,12 @@ impl Process {
             received_bytes: stats.received_bytes,
             evictions: stats.evicted_pages,
             soft_faults: stats.soft_faults,
-            prefetched: stats.prefetched_pages,
-            prefetch_used: stats.prefetch_used,
-            prefetch_wasted: stats.prefetch_wasted,
+            prefetched: stats.prefetch().asked,
+            prefetch_used: stats.prefetch().used,
+            prefetch_wasted: stats.prefetch().wasted,
+            neighbours: stats.neighbour_prefetch.asked,
+            neighbours_used: stats.neighbour_prefetch.used,
+            neighbours_wasted: stats.neighbour_prefetch.wasted,
             resends: stats.resends,
             miss_p50_us: us(500),
             miss_p99_us: us(990),
@@ -342,6 +350,11 @@ impl Process {
 }
 
 impl Crew {
+    /// Another process is dead.
+    fn bury(&self, process: u16) {
+        self.region.iter().for_each(|region| region.handle_peer_down(NodeId(process)));
+    }
+
     /// Draws a new frame.
     fn begin(&self, job: Job) {
         if let Some(region) = &self.region {

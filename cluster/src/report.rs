@@ -138,6 +138,15 @@ pub struct ProcessReport {
     /// Of those, pages that left unused.
     #[serde(default)]
     pub prefetch_wasted: u64,
+    /// Of the pages asked for, those that came along with one that they follow; the others were expected of a tile.
+    #[serde(default)]
+    pub neighbours: u64,
+    /// Of those, pages that were used.
+    #[serde(default)]
+    pub neighbours_used: u64,
+    /// Of those, pages that left unused.
+    #[serde(default)]
+    pub neighbours_wasted: u64,
     /// Requests sent again.
     pub resends: u64,
     /// Median time of a miss, from the fault to the page's presence, in microseconds.
@@ -289,6 +298,7 @@ fn table(nodes: &[ProcessReport]) -> String {
         "fetched",
         "evicted",
         "merged",
+        "ahead/used/wasted",
         "miss p50/p99",
         "paging",
     ];
@@ -304,6 +314,7 @@ fn table(nodes: &[ProcessReport]) -> String {
             thousands(node.fetched_pages),
             thousands(node.evictions),
             thousands(node.merged_faults),
+            ahead(node),
             format!("{:.1} / {:.1} us", node.miss_p50_us, node.miss_p99_us),
             format!("{} {} {}", node.backend, node.policy, node.reference).trim().to_owned(),
         ]
@@ -319,6 +330,14 @@ fn table(nodes: &[ProcessReport]) -> String {
         text.push('\n');
     }
     text
+}
+
+/// Pages asked for before they were touched, and what became of them: the rest are still there. A dash for none.
+fn ahead(node: &ProcessReport) -> String {
+    if node.prefetched == 0 {
+        return "-".to_owned();
+    }
+    [node.prefetched, node.prefetch_used, node.prefetch_wasted].map(thousands).join(" / ")
 }
 
 /// How many triangles, spheres and samples, of what there are.

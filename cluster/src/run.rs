@@ -14,9 +14,9 @@ use rt_core::{Frame, Header, Isosurface, Kernel, Orbit, Solver};
 use scene::builtin::BuiltIn;
 use transport_shm::{Inbox, Layout, PageFile};
 
-pub use crate::control::{BindTo, TransportKind};
+pub use crate::control::{BindTo, Prefetch, TransportKind};
 pub use crate::isovalue::{Isovalue, Surface};
-pub use crate::loss::{Kill, Loss};
+pub use crate::loss::{Kill, Loss, Moment};
 pub use crate::picture::Picture;
 pub use crate::scene_source::{Source, VolumeInput};
 
@@ -54,8 +54,8 @@ pub struct Options {
     pub reference: ReferenceSource,
     /// How many per cent of its slots hold hidden pages, where soft faults are the source.
     pub hidden_per_cent: u32,
-    /// Whether pages are brought before a tile starts, where hints are the source.
-    pub prefetch: bool,
+    /// Which pages come before they are touched.
+    pub prefetch: Prefetch,
     /// How tiles are drawn; `None`: by the fastest kernel that the node's processor has.
     pub kernel: Option<Kernel>,
     /// How pages travel.
@@ -103,7 +103,7 @@ impl Default for Options {
             policy: PolicyKind::Recall,
             reference: ReferenceSource::Hints,
             hidden_per_cent: HIDDEN_PER_CENT,
-            prefetch: true,
+            prefetch: Prefetch::Tiles,
             kernel: None,
             transport: TransportKind::Shm,
             size: PictureSize { width: 512, height: 512 },

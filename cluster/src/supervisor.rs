@@ -15,7 +15,7 @@ use rt_core::{Frame, TileId};
 use crate::canvas::Canvas;
 use crate::control::{Drawn, Files, News, Order, SetUp};
 use crate::link::{Link, PACKET_BYTES_MAX, wait_for_any};
-use crate::loss::{Kill, Loss, is_all_there};
+use crate::loss::{Kill, Loss, Moment, is_all_there};
 use crate::node::NODE_COMMAND;
 use crate::picture::Picture;
 use crate::report::ProcessReport;
@@ -29,8 +29,6 @@ pub(crate) struct Supervisor {
     /// Render threads of each node; each says when it has drawn its part of an order.
     threads: u32,
     placement: Stripes,
-    /// From now on a process may die, if no page and not the last node goes with it.
-    is_running: bool,
     losses: Vec<Loss>,
     /// Processes to be killed on purpose.
     kills: Vec<Kill>,
@@ -87,9 +85,7 @@ impl Supervisor {
         let placement = first.placement.placement()?;
         let doing = "the cluster was started".to_owned();
         let (processes, losses) = (Vec::new(), Vec::new());
-        let is_running = false;
-        let mut supervisor =
-            Self { processes, nodes, threads, placement, is_running, losses, kills, deadline, doing };
+        let mut supervisor = Self { processes, nodes, threads, placement, losses, kills, deadline, doing };
         for plan in plans {
             let process = Process::start(plan).with_context(|| format!("cannot start {}", name_of(plan)))?;
             supervisor.processes.push(process);
@@ -102,19 +98,20 @@ impl Supervisor {
         Ok(supervisor)
     }
 
-    /// Waits until every process has filled its home pages, then lets them fetch from each other.
+    /// Waits until every process has filled its home pages or is dead, then lets the living fetch from each other. They
+    /// know of the dead by then, so nobody reads a page file that is not filled.
     pub(crate) fn wait_until_ready(&mut self) -> Result<()> {
         "the home pages were filled".clone_into(&mut self.doing);
+        self.kill_if(|kill| kill.when == Moment::Start);
         let mut ready = vec![false; self.processes.len()];
         while ready.contains(&false) {
             for (index, event) in self.listen()? {
                 match event {
-                    Event::News(News::Ready) => ready[index] = true,
-                    other => self.reject(index, &other)?,
+                    Event::News(News::Ready) | Event::Death => ready[index] = true,
+                    other @ Event::News(_) => self.reject(index, &other)?,
                 }
             }
         }
-        self.is_running = true;
         self.tell_all(&Order::Go)
     }
 
@@ -205,7 +202,13 @@ impl Supervisor {
 
     /// Kills the processes whose time has come.
     fn kill_as_asked(&mut self, canvas: &Canvas) {
-        let is_due = |kill: &Kill| kill.frame == canvas.frame().number && canvas.present() >= kill.tiles;
+        let (drawn, present) = (canvas.frame().number, canvas.present());
+        let is_due =
+            |when| matches!(when, Moment::Drawn { frame, tiles } if frame == drawn && present >= tiles);
+        self.kill_if(|kill| is_due(kill.when));
+    }
+
+    fn kill_if(&mut self, is_due: impl Fn(&Kill) -> bool) {
         let processes = &mut self.processes;
         self.kills.retain(|kill| {
             if is_due(kill)
@@ -279,10 +282,7 @@ impl Supervisor {
         let is_dead = |other: usize| other == index || self.processes[other].is_dead;
         let renders = (0..self.nodes).any(|node| !is_dead(node));
         let is_copied = self.placement.replicas() > 1;
-        self.is_running
-            && is_copied
-            && renders
-            && is_all_there(&self.placement, |NodeId(node)| is_dead(node.into()))
+        is_copied && renders && is_all_there(&self.placement, |NodeId(node)| is_dead(node.into()))
     }
 
     /// A process says that it cannot go on. If that is because another one is gone, that one is named.

@@ -60,7 +60,7 @@ impl Combination {
         let Self { nodes, threads, memory, page, backend, policy, transport, reference } = self;
         format!(
             "--nodes {nodes} --stores {stores} --threads {threads} --memory {memory} --page {page} --backend {backend} \
-             --policy {policy} --transport {transport} --reference {reference} --deadline 60"
+             --replacement {policy} --transport {transport} --reference {reference} --deadline 60"
         )
         .split_whitespace()
         .map(str::to_owned)
