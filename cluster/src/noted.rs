@@ -9,11 +9,8 @@ use rt_core::SceneMemory;
 #[derive(Debug)]
 pub struct Notes {
     page_shift: u32,
-    /// Of the pages whose numbers end alike, the one that was noted last; `u64::MAX` before the first. A tile's branches and
-    /// clusters take turns, and few of its pages share a place.
-    recent: [Cell<u64>; RECENT],
-    /// Which end of a page's number: one less than the places in use, which is one where every touch counts.
-    recent_mask: u64,
+    /// The page of the last record, `u64::MAX` before the first.
+    last: Cell<u64>,
     /// A bit for each page that is in `pages`; none where every touch counts.
     seen: Vec<Cell<u64>>,
     is_once: bool,
@@ -22,15 +19,12 @@ pub struct Notes {
 
 /// A scene's memory, and notes of which pages of it are used.
 ///
-/// A record of a page that was noted of late costs a shift, a mask and a comparison.
+/// A record of the same page as the one before costs a shift and a comparison.
 #[derive(Clone, Copy, Debug)]
 pub struct Noted<'a, M> {
     memory: M,
     notes: &'a Notes,
 }
-
-/// Places for recent pages: a tile of a fine mesh uses some two dozen.
-const RECENT: usize = 64;
 
 impl Notes {
     /// Nothing noted of an image yet.
@@ -40,8 +34,7 @@ impl Notes {
         let words = usize::try_from(pages.div_ceil(64)).unwrap_or(0);
         Self {
             page_shift: page_bytes.trailing_zeros(),
-            recent: [const { Cell::new(u64::MAX) }; RECENT],
-            recent_mask: RECENT as u64 - 1,
+            last: Cell::new(u64::MAX),
             seen: vec![Cell::new(0); words],
             is_once: true,
             pages: RefCell::new(Vec::new()),
@@ -51,40 +44,31 @@ impl Notes {
     /// Notes every touch: a page is there again each time it is used after another.
     #[must_use]
     pub fn of_every_touch(page_bytes: u32) -> Self {
-        Self { is_once: false, recent_mask: 0, ..Self::new(page_bytes, 0) }
+        Self { is_once: false, ..Self::new(page_bytes, 0) }
     }
 
     /// Gives the pages that were used since the last call to `use_pages`, in the order of their (first) use.
     pub fn take(&self, use_pages: impl FnOnce(&[PageId])) {
         let mut pages = self.pages.borrow_mut();
         use_pages(&pages);
-        for page in pages.drain(..) {
-            self.recent(page.0.into()).set(u64::MAX);
-            if self.is_once {
-                self.seen[page.index() / 64].set(0);
-            }
+        for page in pages.drain(..).filter(|_| self.is_once) {
+            self.seen[page.index() / 64].set(0);
         }
+        self.last.set(u64::MAX);
     }
 
     #[inline]
     fn record(&self, offset: u64) {
         let page = offset >> self.page_shift;
-        if page != self.recent(page).get() {
+        if page != self.last.get() {
             self.note(page);
         }
     }
 
-    #[inline]
-    #[expect(clippy::cast_possible_truncation, reason = "it is the end of the number that is wanted")]
-    fn recent(&self, page: u64) -> &Cell<u64> {
-        &self.recent[(page & self.recent_mask) as usize % RECENT]
-    }
-
-    #[cold]
     #[inline(never)]
     fn note(&self, page: u64) {
+        self.last.set(page);
         let Ok(number) = u32::try_from(page) else { return };
-        self.recent(page).set(page);
         if !self.is_once {
             return self.pages.borrow_mut().push(PageId(number));
         }

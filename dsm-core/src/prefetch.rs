@@ -21,18 +21,18 @@ pub(crate) struct Prefetch {
 /// Keeps account of the pages that were moved: of 65, at most one may have come for nothing.
 ///
 /// Every page that was used earns a little, every one that left unused costs much, and nothing is brought ahead while the
-/// account is empty. So prefetch turns itself off where the last frame foretells little, and comes back by and by. A page
+/// account has nothing to spend. What is known of late, of many pages at once, makes debts. So prefetch turns itself off where the last frame foretells little, and comes back by and by. A page
 /// that came for nothing has often taken the slot of one that is fetched again for it, so it costs two.
 #[derive(Clone, Debug)]
 pub(crate) struct Account {
-    credit: u32,
+    credit: i32,
 }
 
 /// What a page costs that was brought for nothing; a page that was used earns 1.
-const WASTE_COST: u32 = 64;
+const WASTE_COST: i32 = 64;
 
 /// So much can be saved up, and there is to start with.
-const CREDIT_MAX: u32 = 4 * WASTE_COST;
+const CREDIT_MAX: i32 = 4 * WASTE_COST;
 
 impl Prefetch {
     /// May ask for up to `run_max` pages after one that was missed.
@@ -124,6 +124,16 @@ mod tests {
         }
         let share = f64::from(used + wasted) / f64::from(wasted);
         assert!((62.0..68.0).contains(&share), "one in {share}");
+    }
+
+    #[test]
+    fn what_many_pages_cost_that_are_known_at_once_is_owed() {
+        let mut account = Account::new();
+        (0..100).for_each(|_| account.wasted());
+        (0..96 * 64).for_each(|_| account.used());
+        assert!(!account.allows());
+        (0..64).for_each(|_| account.used());
+        assert!(account.allows());
     }
 
     #[test]

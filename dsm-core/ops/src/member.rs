@@ -57,6 +57,8 @@ pub(crate) struct Wait {
     pub(crate) page: PageId,
     pub(crate) since: Instant,
     pub(crate) world_since: Instant,
+    /// It was asked for ahead: the thread goes on, whatever becomes of it.
+    pub(crate) is_ahead: bool,
 }
 
 /// What the driver is busy with.

@@ -310,7 +310,7 @@ impl World {
             Fault::Failed(_) => self.failed += 1,
             Fault::Fetch | Fault::Show | Fault::Wait | Fault::Full => {}
         }
-        let wait = again.unwrap_or(Wait { page, since: now, world_since: world_now });
+        let wait = again.unwrap_or(Wait { page, since: now, world_since: world_now, is_ahead: false });
         member.settle(thread, answer, wait);
         self.carry_out(node, sent, woken);
         if answer == Fault::Fetch {
@@ -343,7 +343,8 @@ impl World {
         let (is_asked, sent, woken) =
             member.input(None, |node| node.handle_prefetch(now, page, port(thread), Foretold::ByTile));
         if is_asked {
-            member.threads[thread] = Thread::Fetching(Wait { page, since: now, world_since: world_now });
+            member.threads[thread] =
+                Thread::Fetching(Wait { page, since: now, world_since: world_now, is_ahead: true });
         }
         self.carry_out(node, sent, woken);
     }
@@ -392,6 +393,10 @@ impl World {
     fn look_again(&mut self, node: usize, threads: &[usize]) {
         for thread in threads {
             if let Some(wait) = self.members[node].threads[*thread].wait() {
+                if wait.is_ahead {
+                    self.members[node].threads[*thread] = Thread::Running;
+                    continue;
+                }
                 self.fault(node, *thread, wait.page, Some(wait));
             }
         }
