@@ -9,7 +9,7 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 use anyhow::{Context, Result, bail};
 use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use fault_linux::BackendKind;
-use rt_core::{Frame, Header, Isosurface, Kernel, Solver};
+use rt_core::{Frame, Header, HeaderError, Isosurface, Kernel, SceneNeeds, Solver};
 use scene::builtin::BuiltIn;
 use transport_shm::{Inbox, Layout, PageFile};
 
@@ -130,13 +130,14 @@ impl Default for Options {
 pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<()>) -> Result<RunReport> {
     options.check()?;
     let image = options.source.open(options.page_bytes, options.quiet)?;
+    check_built(&image)?;
     let image = if options.is_replicated() { image.freeze()? } else { image };
     let run = Run::plan(options, &image)?;
     let (name, header) = (image.name.clone(), image.header);
     let Options { session, size, solver, .. } = options;
     let shown = Shown::new(&options.isosurfaces, session, &options.source, &image)?;
     let moments = session.frames(&header.view, *size, *solver, |asked| shown.of_moment(asked))?;
-    let notes = image.notes.iter().map(ToString::to_string).collect();
+    let notes = image.notes.iter().map(ToString::to_string).chain(left_out_of_frames()).collect();
     let files = run.files(image)?;
     let mut supervisor =
         Supervisor::start(&run.set_ups(options), &files, options.deadline, options.kills.clone())?;
@@ -183,6 +184,20 @@ fn replay(
         drawn = Some(moment);
     }
     Ok(frames)
+}
+
+/// Refuses what a build without some kernels cannot draw, before anybody is started.
+fn check_built(image: &Image) -> Result<()> {
+    match image.header.needs.without(SceneNeeds::BUILT) {
+        SceneNeeds::NONE => Ok(()),
+        missing => Err(HeaderError::LeftOut(missing)).with_context(|| format!("cannot draw {}", image.name)),
+    }
+}
+
+/// What pictures lack because this build lacks it.
+fn left_out_of_frames() -> Option<String> {
+    let without = "no shadows: they were left out of this build; enable the feature shadows";
+    (!cfg!(feature = "shadows")).then(|| without.to_owned())
 }
 
 /// The arithmetic of a run, done.
