@@ -12,6 +12,7 @@
 //! | [`replacement`] | misses of the replacement policies, and what prefetch spares |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
 //! | [`peers`] | other programs that draw what we draw, and our kernels beside them |
+//! | [`fig5`] | a session on a volume, as in the paper's Figure 5 |
 //! | [`iso`] | isosurfaces against flying edges and Embree |
 //! | [`iso_error`] | isosurfaces: error against run time |
 //! | [`left_out`] | what a scene does not need |
@@ -31,6 +32,7 @@ mod data;
 mod distance;
 mod embree;
 mod experiment;
+mod fig5;
 mod findings;
 mod iso;
 mod iso_error;
