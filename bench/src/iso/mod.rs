@@ -52,7 +52,7 @@ struct Amount {
     rounds: usize,
 }
 
-const FULL: Amount = Amount { samples: &[256, 512], size: 512, frames: 6, rounds: 5 };
+const FULL: Amount = Amount { samples: &[256, 512], size: 512, frames: 4, rounds: 3 };
 const QUICK: Amount = Amount { samples: &[24], size: 64, frames: 1, rounds: 1 };
 
 /// From near, most of the picture is covered.

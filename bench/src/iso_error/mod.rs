@@ -43,7 +43,7 @@ struct Amount {
     rounds: usize,
 }
 
-const FULL: Amount = Amount { samples: 256, size: 512, frames: 3, rounds: 5 };
+const FULL: Amount = Amount { samples: 256, size: 512, frames: 2, rounds: 3 };
 const QUICK: Amount = Amount { samples: 24, size: 48, frames: 1, rounds: 1 };
 
 /// From near, most of the picture is covered.
