@@ -49,8 +49,8 @@ const QUICK: Amount = Amount { samples: 24, size: 48, frames: 1, rounds: 1 };
 /// From near, most of the picture is covered.
 const RADIUS: f32 = 0.75;
 
-/// What the default promises where nothing is lost in storage: 999 of 1000 hits within this, in voxels.
-const DISTANCE_MAX: f64 = 1e-3;
+/// What the default promises where nothing is lost in storage: 999 of 1000 hits within this, in thousandths of a voxel.
+const DISTANCE_MAX: f64 = 1.0;
 
 /// And so many of a million pixels show another surface: rays that graze one.
 const WRONG_MAX: f64 = 100.0;
@@ -204,7 +204,11 @@ fn aims(subject: &Subject, measured: &[Measured]) -> Vec<Aim> {
     let per_million = 1e6 * *elsewhere as f64 / *rays as f64;
     let time = best.ms.median / least.ms.median;
     vec![
-        Aim::at_most(format!("{name}: 99.9 % of the hits within, in voxels"), distance.p999, DISTANCE_MAX),
+        Aim::at_most(
+            format!("{name}: 99.9 % of the hits within, in thousandths of a voxel"),
+            1e3 * distance.p999,
+            DISTANCE_MAX,
+        ),
         Aim::at_most(
             format!("{name}: pixels that show another surface, of a million"),
             per_million,
