@@ -162,6 +162,20 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<
     })
 }
 
+/// Refuses what a build without some kernels cannot draw, before anybody is started.
+fn check_built(image: &Image) -> Result<()> {
+    match image.header.needs.without(SceneNeeds::BUILT) {
+        SceneNeeds::NONE => Ok(()),
+        missing => Err(HeaderError::LeftOut(missing)).with_context(|| format!("cannot draw {}", image.name)),
+    }
+}
+
+/// What pictures lack because this build lacks it.
+fn left_out_of_frames() -> Option<String> {
+    let without = "no shadows: they were left out of this build; enable the feature shadows";
+    (!cfg!(feature = "shadows")).then(|| without.to_owned())
+}
+
 /// Draws moments of the session until it is over.
 fn replay(
     options: &Options,
@@ -184,20 +198,6 @@ fn replay(
         drawn = Some(moment);
     }
     Ok(frames)
-}
-
-/// Refuses what a build without some kernels cannot draw, before anybody is started.
-fn check_built(image: &Image) -> Result<()> {
-    match image.header.needs.without(SceneNeeds::BUILT) {
-        SceneNeeds::NONE => Ok(()),
-        missing => Err(HeaderError::LeftOut(missing)).with_context(|| format!("cannot draw {}", image.name)),
-    }
-}
-
-/// What pictures lack because this build lacks it.
-fn left_out_of_frames() -> Option<String> {
-    let without = "no shadows: they were left out of this build; enable the feature shadows";
-    (!cfg!(feature = "shadows")).then(|| without.to_owned())
 }
 
 /// The arithmetic of a run, done.

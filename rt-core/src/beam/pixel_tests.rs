@@ -70,6 +70,24 @@ impl<F: Copy> Reach<F> {
     }
 }
 
+impl<F: Copy> Reach<F> {
+    /// The pixels of a block that lie in the columns, and those that lie in the rows, reached over. The block, in this
+    /// column and row of blocks, is one that is reached over.
+    #[inline(always)]
+    fn within_blocks<S: Simd<F = F>>(&self, s: S, [column, row]: [F; 2]) -> [[i32; LANES]; 2] {
+        let four = s.splat(4.0);
+        let [columns, rows] = each!(2: [(self.left, self.right, column), (self.top, self.bottom, row)], (first, last, block) => {
+            let from = s.mul(block, four);
+            let first = s.max(s.sub(first, from), s.splat(0.0));
+            let last = s.min(s.sub(last, from), s.splat(3.0));
+            s.to_int(s.add(s.mul(first, four), last))
+        });
+        each!(2: [(&WITHIN[0], columns), (&WITHIN[1], rows)], (table, range) => {
+            s.int_array(s.to_int(s.lookup(table, range)))
+        })
+    }
+}
+
 /// The column, or row, of blocks that a column, or row, of pixels is in.
 #[inline(always)]
 fn block_of<S: Simd>(s: S, place: S::F) -> S::F {
@@ -234,14 +252,12 @@ impl<M: SceneMemory, K: Kinds> Pixels<'_, M, K> {
                 & edges.may_cover_block(s, [column, row])
                 & first_lanes(count - first);
             let edges = edges.by_lane(s);
-            let [x0, x1, y0, y1] = each!(4: [reach.left, reach.right, reach.top, reach.bottom], end => s.int_array(s.to_int(end)));
+            let [columns, rows] = reach.within_blocks(s, [column, row]);
             let (names, blocks) = (s.int_array(names), s.int_array(blocks));
             while left != 0 {
                 let at = left.trailing_zeros() as usize;
                 left &= left - 1;
-                let block = blocks[at] as usize % BLOCKS;
-                let (x, y) = first_pixel(block);
-                let within = lanes_in((x0[at], x1[at]), (y0[at], y1[at]), (x as i32, y as i32));
+                let (block, within) = (blocks[at] as usize % BLOCKS, (columns[at] & rows[at]) as Mask);
                 let corners = Corners::of(names[at] as u32);
                 self.test_block(s, triangles, (&edges.splat(s, at), corners), (block, within));
             }
@@ -330,4 +346,17 @@ pub(super) const PLACES: [[[f32; LANES]; 2]; 2] = {
         at += 1;
     }
     places
+};
+
+/// The pixels of a block from one column, or row, to another: at four times the first plus the last.
+const WITHIN: [[[f32; LANES]; 2]; 2] = {
+    let mut within = [[[0.0; LANES]; 2]; 2];
+    let mut at = 0;
+    while at < LANES {
+        let (first, last) = ((at / 4) as i32, (at % 4) as i32);
+        within[0][0][at] = lanes_in((first, last), (0, 3), (0, 0)) as f32;
+        within[1][0][at] = lanes_in((0, 3), (first, last), (0, 0)) as f32;
+        at += 1;
+    }
+    within
 };
