@@ -3,7 +3,7 @@
 use anyhow::Result;
 
 use crate::findings::Findings;
-use crate::{embree, left_out, paging_core, replacement, scaling, sim, table1};
+use crate::{embree, fig5, iso, iso_error, left_out, paging_core, replacement, scaling, sim, table1};
 
 /// An experiment: its name on the command line, what it shows, how it is run.
 #[derive(Debug)]
@@ -30,9 +30,12 @@ pub(crate) const ALL: &[Experiment] = &[
     paging_core::EXPERIMENT,
     sim::EXPERIMENT,
     scaling::EXPERIMENT,
+    fig5::EXPERIMENT,
     replacement::EXPERIMENT,
     embree::EXPERIMENT,
     left_out::EXPERIMENT,
+    iso_error::EXPERIMENT,
+    iso::EXPERIMENT,
 ];
 
 impl Effort {

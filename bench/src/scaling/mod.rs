@@ -110,7 +110,7 @@ pub(crate) struct Images {
 }
 
 impl Images {
-    fn expect_same(&mut self, run: &RunReport) -> Result<()> {
+    pub(crate) fn expect_same(&mut self, run: &RunReport) -> Result<()> {
         let frames: Vec<String> = run.frames.iter().map(|frame| frame.image_hash.clone()).collect();
         let name = &run.scene.name;
         ensure!(
