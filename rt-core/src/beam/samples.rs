@@ -93,6 +93,22 @@ impl<'a> Samples<'a> {
         self.far[group] = s.least(s.load(&self.w[group]));
     }
 
+    /// The same for samples of a group, open or not.
+    #[cfg(feature = "volumes")]
+    #[inline(always)]
+    pub(super) fn close_all<S: Simd>(&mut self, s: S, group: usize, lanes: Mask) {
+        let w = s.select(lanes, s.splat(f32::INFINITY), s.load(&self.w[group]));
+        s.store(w, &mut self.w[group]);
+        self.far[group] = s.least(w);
+        self.open[group] &= !lanes;
+        self.is_stale = true;
+        let mut left = lanes;
+        while left != 0 {
+            self.shadowed[group * LANES + left.trailing_zeros() as usize] = true;
+            left &= left - 1;
+        }
+    }
+
     #[inline(always)]
     pub(super) fn is_open(&self, (group, lane): (usize, usize)) -> bool {
         self.open[group] >> lane & 1 != 0

@@ -49,6 +49,26 @@ fn signs([low, high]: [__m256; 2]) -> Mask {
     with!(_mm256_movemask_ps(low)) as Mask | (with!(_mm256_movemask_ps(high)) as Mask) << 8
 }
 
+/// The sign bits of all quarters.
+#[inline(always)]
+#[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "four bits each")]
+fn signs_f64(quarters: [__m256d; 4]) -> Mask {
+    let [a, b, c, d] = each!(4: quarters, quarter => with!(_mm256_movemask_pd(quarter)) as Mask);
+    a | b << 4 | c << 8 | d << 12
+}
+
+/// All ones where a bit of the mask is set.
+#[inline(always)]
+fn widened_f64(mask: Mask) -> [__m256d; 4] {
+    let own = with!(_mm256_setr_epi64x(1, 2, 4, 8));
+    each!(4: [0, 4, 8, 12], shift => {
+        let all = with!(_mm256_set1_epi64x(i64::from(mask >> shift & 0xf)));
+        let met = with!(_mm256_and_si256(all, own));
+        let met = with!(_mm256_cmpeq_epi64(met, own));
+        with!(_mm256_castsi256_pd(met))
+    })
+}
+
 /// Up to eight little-endian `f32`; lanes beyond are 0.
 #[inline(always)]
 fn eight(bytes: &[[u8; 4]]) -> __m256 {
@@ -333,15 +353,103 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    fn is_zero_f64(self, a: Self::D) -> Mask {
-        let zero = with!(_mm256_setzero_pd());
-        let mut mask = 0;
-        for (at, quarter) in a.into_iter().enumerate() {
-            let equal = with!(_mm256_cmp_pd::<_CMP_EQ_OQ>(quarter, zero));
-            #[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "four bits")]
-            let bits = with!(_mm256_movemask_pd(equal)) as Mask;
-            mask |= bits << (4 * at);
+    fn eq_f64(self, a: Self::D, b: Self::D) -> Mask {
+        signs_f64(each!(4: [0, 1, 2, 3], quarter => with!(_mm256_cmp_pd::<_CMP_EQ_OQ>(a[quarter], b[quarter]))))
+    }
+
+    #[inline(always)]
+    fn splat_f64(self, value: f64) -> Self::D {
+        [with!(_mm256_set1_pd(value)); 4]
+    }
+
+    #[inline(always)]
+    fn load_f64(self, from: &[f64; LANES]) -> Self::D {
+        let (quarters, _) = from.as_chunks::<4>();
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_loadu_pd(quarters[quarter].as_ptr())))
+    }
+
+    #[inline(always)]
+    fn store_f64(self, value: Self::D, to: &mut [f64; LANES]) {
+        let (quarters, _) = to.as_chunks_mut::<4>();
+        for (to, quarter) in quarters.iter_mut().zip(value) {
+            with!(_mm256_storeu_pd(to.as_mut_ptr(), quarter));
         }
-        mask
+    }
+
+    #[inline(always)]
+    fn min_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_min_pd(a[quarter], b[quarter])))
+    }
+
+    #[inline(always)]
+    fn max_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_max_pd(a[quarter], b[quarter])))
+    }
+
+    #[inline(always)]
+    fn floor_f64(self, a: Self::D) -> Self::D {
+        each!(4: a, quarter => with!(_mm256_floor_pd(quarter)))
+    }
+
+    #[inline(always)]
+    fn lt_f64(self, a: Self::D, b: Self::D) -> Mask {
+        signs_f64(each!(4: [0, 1, 2, 3], quarter => with!(_mm256_cmp_pd::<_CMP_LT_OQ>(a[quarter], b[quarter]))))
+    }
+
+    #[inline(always)]
+    fn le_f64(self, a: Self::D, b: Self::D) -> Mask {
+        signs_f64(each!(4: [0, 1, 2, 3], quarter => with!(_mm256_cmp_pd::<_CMP_LE_OQ>(a[quarter], b[quarter]))))
+    }
+
+    #[inline(always)]
+    fn select_f64(self, mask: Mask, yes: Self::D, no: Self::D) -> Self::D {
+        let bits = widened_f64(mask);
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_blendv_pd(no[quarter], yes[quarter], bits[quarter])))
+    }
+
+    #[inline(always)]
+    fn add_where_f64(self, mask: Mask, a: Self::D, b: Self::D) -> Self::D {
+        self.select_f64(mask, self.add_f64(a, b), a)
+    }
+
+    #[inline(always)]
+    fn splat_int(self, value: i32) -> Self::I {
+        [with!(_mm256_set1_epi32(value)); 2]
+    }
+
+    #[inline(always)]
+    fn select_int(self, mask: Mask, yes: Self::I, no: Self::I) -> Self::I {
+        let bits = each!(2: [0, 8], shift => {
+            let bits = widened(mask, shift);
+            with!(_mm256_castps_si256(bits))
+        });
+        both!(_mm256_blendv_epi8(no, yes, bits))
+    }
+
+    #[inline(always)]
+    fn add_where_int(self, mask: Mask, a: Self::I, b: Self::I) -> Self::I {
+        self.select_int(mask, both!(_mm256_add_epi32(a, b)), a)
+    }
+
+    #[inline(always)]
+    fn bits_of(self, table: &[u64; 8], index: Self::I) -> Mask {
+        let (halves, _) = table.as_chunks::<4>();
+        let words = each!(2: [0, 1], half => with!(_mm256_loadu_si256(halves[half].as_ptr().cast())));
+        let all = with!(_mm256_set1_epi32(31));
+        signs(each!(2: index, index => {
+            let place = with!(_mm256_srli_epi32::<5>(index));
+            let low = with!(_mm256_permutevar8x32_epi32(words[0], place));
+            let high = with!(_mm256_permutevar8x32_epi32(words[1], place));
+            // Bit 8 of the index, brought to the sign.
+            let is_high = with!(_mm256_slli_epi32::<23>(index));
+            let is_high = with!(_mm256_castsi256_ps(is_high));
+            let (low, high) = (with!(_mm256_castsi256_ps(low)), with!(_mm256_castsi256_ps(high)));
+            let word = with!(_mm256_blendv_ps(low, high, is_high));
+            let word = with!(_mm256_castps_si256(word));
+            // The bit wanted, brought to the sign.
+            let up = with!(_mm256_andnot_si256(index, all));
+            let word = with!(_mm256_sllv_epi32(word, up));
+            with!(_mm256_castsi256_ps(word))
+        }))
     }
 }

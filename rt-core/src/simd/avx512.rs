@@ -212,10 +212,97 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    fn is_zero_f64(self, a: Self::D) -> Mask {
-        let zero = with!(_mm512_setzero_pd());
-        let low = with!(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(a.0, zero));
-        let high = with!(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(a.1, zero));
+    fn eq_f64(self, a: Self::D, b: Self::D) -> Mask {
+        let low = with!(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(a.0, b.0));
+        let high = with!(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(a.1, b.1));
         Mask::from(low) | Mask::from(high) << 8
+    }
+
+    #[inline(always)]
+    fn splat_f64(self, value: f64) -> Self::D {
+        let value = with!(_mm512_set1_pd(value));
+        (value, value)
+    }
+
+    #[inline(always)]
+    fn load_f64(self, from: &[f64; LANES]) -> Self::D {
+        let (halves, _) = from.as_chunks::<8>();
+        (with!(_mm512_loadu_pd(halves[0].as_ptr())), with!(_mm512_loadu_pd(halves[1].as_ptr())))
+    }
+
+    #[inline(always)]
+    fn store_f64(self, value: Self::D, to: &mut [f64; LANES]) {
+        let (halves, _) = to.as_chunks_mut::<8>();
+        with!(_mm512_storeu_pd(halves[0].as_mut_ptr(), value.0));
+        with!(_mm512_storeu_pd(halves[1].as_mut_ptr(), value.1));
+    }
+
+    #[inline(always)]
+    fn min_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        (with!(_mm512_min_pd(a.0, b.0)), with!(_mm512_min_pd(a.1, b.1)))
+    }
+
+    #[inline(always)]
+    fn max_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        (with!(_mm512_max_pd(a.0, b.0)), with!(_mm512_max_pd(a.1, b.1)))
+    }
+
+    #[inline(always)]
+    fn floor_f64(self, a: Self::D) -> Self::D {
+        const DOWN: i32 = _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC;
+        (with!(_mm512_roundscale_pd::<DOWN>(a.0)), with!(_mm512_roundscale_pd::<DOWN>(a.1)))
+    }
+
+    #[inline(always)]
+    fn lt_f64(self, a: Self::D, b: Self::D) -> Mask {
+        let low = with!(_mm512_cmp_pd_mask::<_CMP_LT_OQ>(a.0, b.0));
+        let high = with!(_mm512_cmp_pd_mask::<_CMP_LT_OQ>(a.1, b.1));
+        Mask::from(low) | Mask::from(high) << 8
+    }
+
+    #[inline(always)]
+    fn le_f64(self, a: Self::D, b: Self::D) -> Mask {
+        let low = with!(_mm512_cmp_pd_mask::<_CMP_LE_OQ>(a.0, b.0));
+        let high = with!(_mm512_cmp_pd_mask::<_CMP_LE_OQ>(a.1, b.1));
+        Mask::from(low) | Mask::from(high) << 8
+    }
+
+    #[inline(always)]
+    fn select_f64(self, mask: Mask, yes: Self::D, no: Self::D) -> Self::D {
+        let [low, high] = mask.to_le_bytes();
+        (with!(_mm512_mask_blend_pd(low, no.0, yes.0)), with!(_mm512_mask_blend_pd(high, no.1, yes.1)))
+    }
+
+    #[inline(always)]
+    fn add_where_f64(self, mask: Mask, a: Self::D, b: Self::D) -> Self::D {
+        let [low, high] = mask.to_le_bytes();
+        (with!(_mm512_mask_add_pd(a.0, low, a.0, b.0)), with!(_mm512_mask_add_pd(a.1, high, a.1, b.1)))
+    }
+
+    #[inline(always)]
+    fn splat_int(self, value: i32) -> Self::I {
+        with!(_mm512_set1_epi32(value))
+    }
+
+    #[inline(always)]
+    fn select_int(self, mask: Mask, yes: Self::I, no: Self::I) -> Self::I {
+        with!(_mm512_mask_blend_epi32(mask, no, yes))
+    }
+
+    #[inline(always)]
+    fn add_where_int(self, mask: Mask, a: Self::I, b: Self::I) -> Self::I {
+        with!(_mm512_mask_add_epi32(a, mask, a, b))
+    }
+
+    #[inline(always)]
+    fn bits_of(self, table: &[u64; 8], index: Self::I) -> Mask {
+        let table = with!(_mm512_loadu_epi64(table.as_ptr().cast()));
+        let place = with!(_mm512_srli_epi32::<5>(index));
+        let word = with!(_mm512_permutexvar_epi32(place, table));
+        let ones = with!(_mm512_set1_epi32(31));
+        let bit = with!(_mm512_and_si512(index, ones));
+        let word = with!(_mm512_srlv_epi32(word, bit));
+        let one = with!(_mm512_set1_epi32(1));
+        with!(_mm512_test_epi32_mask(word, one))
     }
 }

@@ -160,8 +160,26 @@ pub(crate) trait Simd: Copy {
     fn mul_f64(self, a: Self::D, b: Self::D) -> Self::D;
     fn div_f64(self, a: Self::D, b: Self::D) -> Self::D;
     fn sqrt_f64(self, a: Self::D) -> Self::D;
-    /// Lanes that are 0, of either sign.
-    fn is_zero_f64(self, a: Self::D) -> Mask;
+    fn eq_f64(self, a: Self::D, b: Self::D) -> Mask;
+    fn splat_f64(self, value: f64) -> Self::D;
+    fn load_f64(self, from: &[f64; LANES]) -> Self::D;
+    fn store_f64(self, value: Self::D, to: &mut [f64; LANES]);
+    fn min_f64(self, a: Self::D, b: Self::D) -> Self::D;
+    fn max_f64(self, a: Self::D, b: Self::D) -> Self::D;
+    /// Rounds to a whole number, downwards.
+    fn floor_f64(self, a: Self::D) -> Self::D;
+    fn lt_f64(self, a: Self::D, b: Self::D) -> Mask;
+    fn le_f64(self, a: Self::D, b: Self::D) -> Mask;
+    fn select_f64(self, mask: Mask, yes: Self::D, no: Self::D) -> Self::D;
+    /// The sum where the mask is set, else `a`.
+    fn add_where_f64(self, mask: Mask, a: Self::D, b: Self::D) -> Self::D;
+
+    fn splat_int(self, value: i32) -> Self::I;
+    fn select_int(self, mask: Mask, yes: Self::I, no: Self::I) -> Self::I;
+    /// The sum where the mask is set, else `a`.
+    fn add_where_int(self, mask: Mask, a: Self::I, b: Self::I) -> Self::I;
+    /// The lanes whose bit is set: that of 512 which the low nine bits of the index name.
+    fn bits_of(self, table: &[u64; 8], index: Self::I) -> Mask;
 
     /// [`pick_of_two`](Self::pick_of_two) from memory.
     #[inline(always)]
@@ -179,6 +197,19 @@ pub(crate) trait Simd: Copy {
     fn array(self, value: Self::F) -> [f32; LANES] {
         let mut lanes = [0.0; LANES];
         self.store(value, &mut lanes);
+        lanes
+    }
+
+    /// Lanes that are 0, of either sign.
+    #[inline(always)]
+    fn is_zero_f64(self, a: Self::D) -> Mask {
+        self.eq_f64(a, self.splat_f64(0.0))
+    }
+
+    #[inline(always)]
+    fn array_f64(self, value: Self::D) -> [f64; LANES] {
+        let mut lanes = [0.0; LANES];
+        self.store_f64(value, &mut lanes);
         lanes
     }
 

@@ -209,7 +209,78 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
-    fn is_zero_f64(self, a: Self::D) -> Mask {
-        (0..LANES).fold(0, |mask, lane| mask | Mask::from(a[lane] == 0.0) << lane)
+    fn eq_f64(self, a: Self::D, b: Self::D) -> Mask {
+        (0..LANES).fold(0, |mask, lane| mask | Mask::from(a[lane] == b[lane]) << lane)
+    }
+
+    #[inline(always)]
+    fn splat_f64(self, value: f64) -> Self::D {
+        [value; LANES]
+    }
+
+    #[inline(always)]
+    fn load_f64(self, from: &[f64; LANES]) -> Self::D {
+        *from
+    }
+
+    #[inline(always)]
+    fn store_f64(self, value: Self::D, to: &mut [f64; LANES]) {
+        *to = value;
+    }
+
+    #[inline(always)]
+    fn min_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        map(a, b, |a, b| if a < b { a } else { b })
+    }
+
+    #[inline(always)]
+    fn max_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        map(a, b, |a, b| if a > b { a } else { b })
+    }
+
+    #[inline(always)]
+    fn floor_f64(self, a: Self::D) -> Self::D {
+        a.map(libm::floor)
+    }
+
+    #[inline(always)]
+    fn lt_f64(self, a: Self::D, b: Self::D) -> Mask {
+        (0..LANES).fold(0, |mask, lane| mask | Mask::from(a[lane] < b[lane]) << lane)
+    }
+
+    #[inline(always)]
+    fn le_f64(self, a: Self::D, b: Self::D) -> Mask {
+        (0..LANES).fold(0, |mask, lane| mask | Mask::from(a[lane] <= b[lane]) << lane)
+    }
+
+    #[inline(always)]
+    fn select_f64(self, mask: Mask, yes: Self::D, no: Self::D) -> Self::D {
+        core::array::from_fn(|lane| if mask >> lane & 1 != 0 { yes[lane] } else { no[lane] })
+    }
+
+    #[inline(always)]
+    fn add_where_f64(self, mask: Mask, a: Self::D, b: Self::D) -> Self::D {
+        self.select_f64(mask, self.add_f64(a, b), a)
+    }
+
+    #[inline(always)]
+    fn splat_int(self, value: i32) -> Self::I {
+        [value; LANES]
+    }
+
+    #[inline(always)]
+    fn select_int(self, mask: Mask, yes: Self::I, no: Self::I) -> Self::I {
+        core::array::from_fn(|lane| if mask >> lane & 1 != 0 { yes[lane] } else { no[lane] })
+    }
+
+    #[inline(always)]
+    fn add_where_int(self, mask: Mask, a: Self::I, b: Self::I) -> Self::I {
+        self.select_int(mask, map(a, b, i32::wrapping_add), a)
+    }
+
+    #[inline(always)]
+    fn bits_of(self, table: &[u64; 8], index: Self::I) -> Mask {
+        let is_set = |index: i32| table[(index >> 6 & 7) as usize] >> (index & 63) & 1 != 0;
+        (0..LANES).fold(0, |mask, lane| mask | Mask::from(is_set(index[lane])) << lane)
     }
 }

@@ -1,0 +1,164 @@
+//! Sixteen rays in a brick, each stepping through its own voxel cells from one that may hold a surface to the next.
+//!
+//! [`Steps`](crate::volume_ray::Steps), lane by lane. Where a ray crosses several planes at once it crosses them in one
+//! step; the cells between have no stretch of the ray.
+
+use super::packet::{CellBox, Packet};
+use crate::simd::{Mask, Simd, each};
+
+/// Where sixteen rays are in a box of cells.
+pub(super) struct Cells<S: Simd> {
+    /// Numbers of the far planes of the rays' cells, by axis.
+    far: [S::D; 3],
+    /// Where the rays cross them.
+    crossing: [S::D; 3],
+    /// What an axis' number grows by with each step: 1 or -1.
+    one: [S::D; 3],
+    /// The same for `index`.
+    stride: [S::I; 3],
+    /// Number of the cell in the brick: `x + 8 y + 64 z`.
+    pub(super) index: S::I,
+    /// Where the rays enter their cells, and leave the box.
+    pub(super) enter: S::D,
+    leave: S::D,
+    /// Rays that are in the box.
+    pub(super) live: Mask,
+}
+
+/// Where rays are in voxel cells, one each.
+#[derive(Clone, Copy)]
+pub(super) struct InCells<D, F> {
+    pub(super) enter: D,
+    pub(super) exit: D,
+    /// The places of both in the cell, in `0..=1`.
+    pub(super) from: [F; 3],
+    pub(super) to: [F; 3],
+    /// Rays whose stretch is not empty.
+    pub(super) lanes: Mask,
+}
+
+impl<S: Simd> Cells<S> {
+    /// The cells in which the rays enter a box of cells of a brick with this lowest corner. `None` when none does.
+    #[inline(always)]
+    pub(super) fn new(s: S, packet: &Packet<S::D>, cells: &CellBox, corner: [i32; 3]) -> Option<Self> {
+        let ends = packet.ends(s, cells);
+        let stretch = packet.stretch(s, &ends);
+        if stretch.lanes == 0 {
+            return None;
+        }
+        let (minus, zero, plus) = (s.splat_f64(-1.0), s.splat_f64(0.0), s.splat_f64(1.0));
+        let one = each!(3: packet.forwards, lanes => s.select_f64(lanes, plus, minus));
+        // A guess, which is nearly always right, of the cell; then its far planes.
+        let far = each!(3: [0, 1, 2], axis => {
+            let at = s.add_f64(packet.origin[axis], s.mul_f64(stretch.enter, packet.direction[axis]));
+            let last = s.splat_f64(f64::from(cells.high[axis] - 1));
+            let at = s.max_f64(s.min_f64(s.floor_f64(at), last), s.splat_f64(f64::from(cells.low[axis])));
+            s.add_f64(at, s.select_f64(packet.forwards[axis], plus, zero))
+        });
+        let far = each!(3: [0, 1, 2], axis => {
+            let (near_end, far_end) = (ends[0][axis], ends[1][axis]);
+            in_box(s, packet, axis, (far[axis], one[axis]), (near_end, far_end), stretch.enter, stretch.lanes)
+        });
+        let crossing = each!(3: [0, 1, 2], axis => packet.planes(s, axis, far[axis]));
+        let [x, y, z] = each!(3: [0, 1, 2], axis => {
+            let low = s.select_f64(packet.forwards[axis], s.sub_f64(far[axis], plus), far[axis]);
+            s.sub_f64(low, s.splat_f64(f64::from(corner[axis])))
+        });
+        let eight = s.splat_f64(8.0);
+        let index = s.add_f64(x, s.mul_f64(eight, s.add_f64(y, s.mul_f64(eight, z))));
+        let stride = each!(3: [(0, 1), (1, 8), (2, 64)], (axis, stride) => {
+            s.select_int(packet.forwards[axis], s.splat_int(stride), s.splat_int(-stride))
+        });
+        let index = s.to_int(s.narrow(index));
+        let (enter, leave, live) = (stretch.enter, stretch.leave, stretch.lanes);
+        Some(Self { far, crossing, one, stride, index, enter, leave, live })
+    }
+
+    /// Has every ray of `moving` go on from its cell to the next that may hold a surface. Gives the rays that are in one.
+    #[inline(always)]
+    pub(super) fn advance(&mut self, s: S, packet: &Packet<S::D>, active: &[u64; 8], moving: Mask) -> Mask {
+        let mut moving = moving & self.live;
+        while moving != 0 {
+            let exit = self.exit(s);
+            self.enter = s.select_f64(moving, exit, self.enter);
+            for axis in 0..3 {
+                let crossed = s.le_f64(self.crossing[axis], exit) & moving;
+                self.far[axis] = s.add_where_f64(crossed, self.far[axis], self.one[axis]);
+                self.crossing[axis] = packet.planes(s, axis, self.far[axis]);
+                self.index = s.add_where_int(crossed, self.index, self.stride[axis]);
+            }
+            self.live &= s.lt_f64(self.enter, self.leave);
+            moving &= self.live & !s.bits_of(active, self.index);
+        }
+        self.live
+    }
+
+    /// Where the rays of `lanes` are in their cells.
+    #[inline(always)]
+    pub(super) fn places(&self, s: S, packet: &Packet<S::D>, lanes: Mask) -> InCells<S::D, S::F> {
+        let exit = s.min_f64(self.exit(s), self.leave);
+        let mut places = [[s.splat(0.0); 3]; 2];
+        for axis in 0..3 {
+            let forwards = packet.forwards[axis];
+            let near = s.sub_f64(self.far[axis], self.one[axis]);
+            let near_crossing = packet.planes(s, axis, near);
+            let low = s.select_f64(forwards, near, self.far[axis]);
+            let [at_low, at_high] = [
+                s.select_f64(forwards, near_crossing, self.crossing[axis]),
+                s.select_f64(forwards, self.crossing[axis], near_crossing),
+            ];
+            for (place, t) in places.iter_mut().zip([self.enter, exit]) {
+                let at = s.add_f64(packet.origin[axis], s.mul_f64(t, packet.direction[axis]));
+                let inside = s.narrow(s.sub_f64(at, low));
+                let inside = s.min(s.max(inside, s.splat(0.0)), s.splat(1.0));
+                let inside = s.select(s.eq_f64(t, at_high), s.splat(1.0), inside);
+                place[axis] = s.select(s.eq_f64(t, at_low), s.splat(0.0), inside);
+            }
+        }
+        let [from, to] = places;
+        InCells { enter: self.enter, exit, from, to, lanes: lanes & s.lt_f64(self.enter, exit) }
+    }
+
+    /// Where the rays leave their cells.
+    #[inline(always)]
+    fn exit(&self, s: S) -> S::D {
+        s.min_f64(s.min_f64(self.crossing[0], self.crossing[1]), self.crossing[2])
+    }
+
+    /// Takes rays out of the box.
+    #[inline(always)]
+    pub(super) fn stop(&mut self, lanes: Mask) {
+        self.live &= !lanes;
+    }
+
+    /// Lowest corner of a ray's cell.
+    pub(super) fn cell(&self, s: S, lane: usize, corner: [i32; 3]) -> [i32; 3] {
+        let index = s.int_array(self.index)[lane];
+        [corner[0] + (index & 7), corner[1] + (index >> 3 & 7), corner[2] + (index >> 6 & 7)]
+    }
+}
+
+/// Moves the far planes of cells, along one axis of a box, to the cells that the rays are in after `enter`.
+#[inline(always)]
+fn in_box<S: Simd>(
+    s: S,
+    packet: &Packet<S::D>,
+    axis: usize,
+    (mut far, one): (S::D, S::D),
+    (near_end, far_end): (S::D, S::D),
+    enter: S::D,
+    lanes: Mask,
+) -> S::D {
+    let back = s.sub_f64(s.splat_f64(0.0), one);
+    // No more steps than there are cells.
+    for _ in 0..crate::volume::BRICK_CELLS {
+        let near = s.add_f64(far, back);
+        let is_before = s.le_f64(packet.planes(s, axis, far), enter) & !s.eq_f64(far, far_end);
+        let is_behind = s.lt_f64(enter, packet.planes(s, axis, near)) & !s.eq_f64(near, near_end);
+        if (is_before | is_behind) & lanes == 0 {
+            break;
+        }
+        far = s.add_where_f64(is_behind, s.add_where_f64(is_before, far, one), back);
+    }
+    far
+}
