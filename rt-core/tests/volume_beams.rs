@@ -6,7 +6,7 @@ use core::cell::RefCell;
 use std::collections::HashSet;
 use std::io::Cursor;
 
-use common::volume::{InMemory, view};
+use common::volume::InMemory;
 use common::{Dice, single};
 use glam::Vec3;
 use proptest::prelude::*;
@@ -18,23 +18,49 @@ use rt_core::{
 use scene::volume::{SampleType, StoredType, VolumeName};
 use scene::{BuildOptions, build, builtin, write_volume};
 
-/// A picture by tiles, and what was counted.
-fn draw<M: SceneMemory>(scene: &SceneView<M>, frame: &Frame, kernel: Kernel) -> Vec<(Vec<u8>, TileCounts)> {
+/// Memory that notes which pages are read. All tests use it, since each kind of memory is a kernel more to compile.
+struct Noting<'a>(Flat<'a>, RefCell<HashSet<u64>>);
+
+impl SceneMemory for Noting<'_> {
+    type Record<'b>
+        = &'b [u8]
+    where
+        Self: 'b;
+
+    fn record(&self, offset: u64, length: usize) -> Option<&[u8]> {
+        self.1.borrow_mut().insert(offset / 4096);
+        self.0.record(offset, length)
+    }
+
+    fn length(&self) -> u64 {
+        self.0.length()
+    }
+}
+
+type Scene<'a> = SceneView<Noting<'a>>;
+
+fn view(image: &[u8]) -> Scene<'_> {
+    SceneView::new(Noting(Flat::new(image), RefCell::default())).expect("the header is sound")
+}
+
+/// A picture by tiles, what was counted, and the work.
+fn draw(scene: &Scene<'_>, frame: &Frame, kernel: Kernel) -> (Vec<(Vec<u8>, TileCounts)>, WorkCounts) {
     let tiles = Tiles::of(frame.width, frame.height);
+    let mut work = WorkCounts::default();
     let one = |id| {
         let tile = tiles.get(id).expect("below the count");
         let mut pixels = vec![0; tile.pixels()];
-        let counts = render_tile(scene, frame, tile, kernel, &mut pixels, &mut ());
+        let counts = render_tile(scene, frame, tile, kernel, &mut pixels, &mut work);
         (pixels, counts)
     };
-    tiles.ids().map(one).collect()
+    (tiles.ids().map(one).collect(), work)
 }
 
 /// Asserts that all kernels draw the same, and gives back what was counted.
-fn agree<M: SceneMemory>(scene: &SceneView<M>, frame: &Frame, what: &str) -> TileCounts {
-    let by_rays = draw(scene, frame, Kernel::Rays(Lanes::PORTABLE));
+fn agree(scene: &Scene<'_>, frame: &Frame, what: &str) -> TileCounts {
+    let (by_rays, _) = draw(scene, frame, Kernel::Rays(Lanes::PORTABLE));
     for kernel in Kernel::available().filter(|kernel| *kernel != Kernel::Rays(Lanes::PORTABLE)) {
-        for (tile, (found, expected)) in draw(scene, frame, kernel).iter().zip(&by_rays).enumerate() {
+        for (tile, (found, expected)) in draw(scene, frame, kernel).0.iter().zip(&by_rays).enumerate() {
             let differ = (0..found.0.len()).filter(|&at| found.0[at] != expected.0[at]).count();
             assert!(
                 differ == 0 && found.1 == expected.1,
@@ -55,7 +81,7 @@ fn showing(values: &[f32]) -> Vec<Isosurface> {
 }
 
 /// A frame on the orbit around a volume.
-fn on_orbit<M: SceneMemory>(scene: &SceneView<M>, place: &OrbitPlace, size: (u32, u32), isovalues: &[f32]) -> Frame {
+fn on_orbit(scene: &Scene<'_>, place: &OrbitPlace, size: (u32, u32), isovalues: &[f32]) -> Frame {
     let frame = Frame::on_orbit(&Orbit::around(&scene.header().view), place, size.0, size.1).expect("a frame");
     frame.with_isosurfaces(&showing(isovalues), Solver::default()).expect("a frame")
 }
@@ -144,7 +170,7 @@ fn any_volume() -> impl Strategy<Value = (InMemory, Option<StoredType>)> {
 }
 
 /// A camera somewhere around or in the volume, looking anywhere, with a light anywhere.
-fn any_frame<M: SceneMemory>(scene: &SceneView<M>, dice: &mut Dice) -> Option<Frame> {
+fn any_frame(scene: &Scene<'_>, dice: &mut Dice) -> Option<Frame> {
     let bounds = scene.header().view;
     let place = OrbitPlace {
         radius: [0.02, 0.2, 0.6, 1.5, 30.0, 3000.0][dice.below(6)],
@@ -194,7 +220,7 @@ proptest! {
             let place = 4096 + place.index(bytes.len() - 4096);
             bytes[place] = value;
         }
-        let scene = SceneView::new(Flat::new(&bytes)).expect("the header is sound");
+        let scene = view(&bytes);
         if let Some(frame) = any_frame(&scene, &mut Dice(seed)) {
             agree(&scene, &frame, &format!("{frame:?}"));
         }
@@ -219,31 +245,12 @@ fn meshes_spheres_and_volumes_in_one_scene_are_drawn_the_same() {
     }
 }
 
-/// Memory that notes which pages are read.
-struct Noting<'a>(Flat<'a>, RefCell<HashSet<u64>>);
-
-impl SceneMemory for Noting<'_> {
-    type Record<'b>
-        = &'b [u8]
-    where
-        Self: 'b;
-
-    fn record(&self, offset: u64, length: usize) -> Option<&[u8]> {
-        self.1.borrow_mut().insert(offset / 4096);
-        self.0.record(offset, length)
-    }
-
-    fn length(&self) -> u64 {
-        self.0.length()
-    }
-}
-
 #[test]
 fn beams_read_hardly_more_pages_than_rays_need() {
     let image = image_named("gyroid:96");
     for radius in [0.75, 0.3] {
         let pages = |kernel: Kernel| {
-            let scene = SceneView::new(Noting(Flat::new(&image), RefCell::default())).expect("sound");
+            let scene = view(&image);
             let place = OrbitPlace { radius, elevation: 20.0, frame: 1, frames: 7 };
             draw(&scene, &on_orbit(&scene, &place, (200, 200), &[0.0]), kernel);
             let pages = scene.memory().1.borrow().clone();
@@ -270,12 +277,7 @@ fn rays_that_meet_nothing_read_no_brick() {
     frame.camera.y_step *= 0.05;
     frame.camera.x_first *= 0.05;
     frame.camera.y_first *= 0.05;
-    let tiles = Tiles::of(64, 64);
-    let mut work = WorkCounts::default();
-    for tile in tiles.ids().filter_map(|id| tiles.get(id)) {
-        let mut pixels = vec![0; tile.pixels()];
-        let counts = render_tile(&scene, &frame, tile, Kernel::fastest(), &mut pixels, &mut work);
-        assert_eq!(counts.hits, 0);
-    }
+    let (tiles, work) = draw(&scene, &frame, Kernel::fastest());
+    assert!(tiles.iter().all(|(_, counts)| counts.hits == 0));
     assert!(work.branches > 0 && work.bricks == 0, "{work:?}");
 }

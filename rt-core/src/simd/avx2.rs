@@ -3,7 +3,7 @@
 
 use core::arch::x86_64::*;
 
-use super::{Kind, LANES, Mask, Part, Simd, Task, low_bits};
+use super::{Kind, LANES, Mask, Part, Simd, Task, last_of_two, low_bits};
 
 /// The proof that the processor has AVX2.
 #[derive(Clone, Copy)]
@@ -47,26 +47,6 @@ macro_rules! both {
 #[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "eight bits each")]
 fn signs([low, high]: [__m256; 2]) -> Mask {
     with!(_mm256_movemask_ps(low)) as Mask | (with!(_mm256_movemask_ps(high)) as Mask) << 8
-}
-
-/// The sign bits of all quarters.
-#[inline(always)]
-#[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "four bits each")]
-fn signs_f64(quarters: [__m256d; 4]) -> Mask {
-    let [a, b, c, d] = each!(4: quarters, quarter => with!(_mm256_movemask_pd(quarter)) as Mask);
-    a | b << 4 | c << 8 | d << 12
-}
-
-/// All ones where a bit of the mask is set.
-#[inline(always)]
-fn widened_f64(mask: Mask) -> [__m256d; 4] {
-    let own = with!(_mm256_setr_epi64x(1, 2, 4, 8));
-    each!(4: [0, 4, 8, 12], shift => {
-        let all = with!(_mm256_set1_epi64x(i64::from(mask >> shift & 0xf)));
-        let met = with!(_mm256_and_si256(all, own));
-        let met = with!(_mm256_cmpeq_epi64(met, own));
-        with!(_mm256_castsi256_pd(met))
-    })
 }
 
 /// Up to eight little-endian `f32`; lanes beyond are 0.
@@ -144,6 +124,7 @@ impl Simd for Avx2 {
     type F = [__m256; 2];
     type I = [__m256i; 2];
     type D = [__m256d; 4];
+    type M = [__m256d; 4];
 
     #[inline(always)]
     fn apart<T: Part<Self>>(self, part: T) -> T::Output {
@@ -258,6 +239,31 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
+    fn gather_pairs<const N: usize>(self, table: &[f32; N], index: Self::I) -> [Self::F; 2] {
+        let low_bits = with!(_mm256_set1_epi32(const { low_bits(N) }));
+        let last = with!(_mm256_set1_epi32(const { last_of_two(N) }));
+        let halves = each!(2: index, index => {
+            // So both entries lie in the table.
+            let index = with!(_mm256_and_si256(index, low_bits));
+            let index = with!(_mm256_min_epi32(index, last));
+            let (low, high) = (with!(_mm256_castsi256_si128(index)), with!(_mm256_extracti128_si256::<1>(index)));
+            let pairs = each!(2: [low, high], quarter => {
+                let pairs = with!(_mm256_i32gather_pd::<4>(table.as_ptr().cast(), quarter));
+                with!(_mm256_castpd_ps(pairs))
+            });
+            let firsts = with!(_mm256_shuffle_ps::<0b10_00_10_00>(pairs[0], pairs[1]));
+            let seconds = with!(_mm256_shuffle_ps::<0b11_01_11_01>(pairs[0], pairs[1]));
+            // Quarters of registers came in turn from one and the other.
+            each!(2: [firsts, seconds], lanes => {
+                let lanes = with!(_mm256_castps_pd(lanes));
+                let lanes = with!(_mm256_permute4x64_pd::<0b11_01_10_00>(lanes));
+                with!(_mm256_castpd_ps(lanes))
+            })
+        });
+        [[halves[0][0], halves[1][0]], [halves[0][1], halves[1][1]]]
+    }
+
+    #[inline(always)]
     fn store_packed(self, mask: Mask, value: Self::F, to: &mut [f32; LANES]) {
         let low = packed(mask, value[0]);
         let high = packed(mask >> 8, value[1]);
@@ -353,8 +359,8 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    fn eq_f64(self, a: Self::D, b: Self::D) -> Mask {
-        signs_f64(each!(4: [0, 1, 2, 3], quarter => with!(_mm256_cmp_pd::<_CMP_EQ_OQ>(a[quarter], b[quarter]))))
+    fn eq_f64(self, a: Self::D, b: Self::D) -> Self::M {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_cmp_pd::<_CMP_EQ_OQ>(a[quarter], b[quarter])))
     }
 
     #[inline(always)]
@@ -392,24 +398,51 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    fn lt_f64(self, a: Self::D, b: Self::D) -> Mask {
-        signs_f64(each!(4: [0, 1, 2, 3], quarter => with!(_mm256_cmp_pd::<_CMP_LT_OQ>(a[quarter], b[quarter]))))
+    fn lt_f64(self, a: Self::D, b: Self::D) -> Self::M {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_cmp_pd::<_CMP_LT_OQ>(a[quarter], b[quarter])))
     }
 
     #[inline(always)]
-    fn le_f64(self, a: Self::D, b: Self::D) -> Mask {
-        signs_f64(each!(4: [0, 1, 2, 3], quarter => with!(_mm256_cmp_pd::<_CMP_LE_OQ>(a[quarter], b[quarter]))))
+    fn le_f64(self, a: Self::D, b: Self::D) -> Self::M {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_cmp_pd::<_CMP_LE_OQ>(a[quarter], b[quarter])))
     }
 
     #[inline(always)]
-    fn select_f64(self, mask: Mask, yes: Self::D, no: Self::D) -> Self::D {
-        let bits = widened_f64(mask);
-        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_blendv_pd(no[quarter], yes[quarter], bits[quarter])))
+    fn select_f64(self, mask: Self::M, yes: Self::D, no: Self::D) -> Self::D {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_blendv_pd(no[quarter], yes[quarter], mask[quarter])))
     }
 
     #[inline(always)]
-    fn add_where_f64(self, mask: Mask, a: Self::D, b: Self::D) -> Self::D {
+    fn add_where_f64(self, mask: Self::M, a: Self::D, b: Self::D) -> Self::D {
         self.select_f64(mask, self.add_f64(a, b), a)
+    }
+
+    #[inline(always)]
+    fn wide_mask(self, mask: Mask) -> Self::M {
+        let own = with!(_mm256_setr_epi64x(1, 2, 4, 8));
+        each!(4: [0, 4, 8, 12], shift => {
+            let all = with!(_mm256_set1_epi64x(i64::from(mask >> shift & 0xf)));
+            let met = with!(_mm256_and_si256(all, own));
+            let met = with!(_mm256_cmpeq_epi64(met, own));
+            with!(_mm256_castsi256_pd(met))
+        })
+    }
+
+    #[inline(always)]
+    #[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "four bits each")]
+    fn narrow_mask(self, mask: Self::M) -> Mask {
+        let [a, b, c, d] = each!(4: mask, quarter => with!(_mm256_movemask_pd(quarter)) as Mask);
+        a | b << 4 | c << 8 | d << 12
+    }
+
+    #[inline(always)]
+    fn both(self, a: Self::M, b: Self::M) -> Self::M {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_and_pd(a[quarter], b[quarter])))
+    }
+
+    #[inline(always)]
+    fn except(self, a: Self::M, b: Self::M) -> Self::M {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_andnot_pd(b[quarter], a[quarter])))
     }
 
     #[inline(always)]

@@ -44,6 +44,9 @@ impl Task for EveryOperation {
         floats(s.load_le(words));
         floats(s.lookup(&[self.a, self.b], s.bytes(&self.bytes)));
         floats(s.gather(&self.a, s.bytes(&self.bytes)));
+        for value in s.gather_pairs(&self.a, s.bytes(&self.bytes)) {
+            floats(value);
+        }
         let mut packed = [0.0; LANES];
         s.store_packed(self.mask, a, &mut packed);
         packed[self.mask.count_ones() as usize..].fill(0.0);
@@ -62,8 +65,8 @@ impl Task for EveryOperation {
             s.min_f64(wide_a, wide_b),
             s.max_f64(wide_a, wide_b),
             s.floor_f64(wide_a),
-            s.select_f64(self.mask, wide_a, wide_b),
-            s.add_where_f64(self.mask, wide_a, s.splat_f64(0.1)),
+            s.select_f64(s.wide_mask(self.mask), wide_a, wide_b),
+            s.add_where_f64(s.wide_mask(self.mask), wide_a, s.splat_f64(0.1)),
             s.load_f64(&s.array_f64(wide_b)),
         ] {
             floats(s.narrow(value));
@@ -89,9 +92,11 @@ impl Task for EveryOperation {
             s.lt(a, b),
             s.le(a, b),
             s.is_zero_f64(wide_a),
-            s.eq_f64(wide_a, wide_b),
-            s.lt_f64(wide_a, wide_b),
-            s.le_f64(wide_a, wide_b),
+            s.narrow_mask(s.eq_f64(wide_a, wide_b)),
+            s.narrow_mask(s.lt_f64(wide_a, wide_b)),
+            s.narrow_mask(s.le_f64(wide_a, wide_b)),
+            s.narrow_mask(s.both(s.wide_mask(self.mask), s.lt_f64(wide_a, wide_b))),
+            s.narrow_mask(s.except(s.wide_mask(self.mask), s.lt_f64(wide_a, wide_b))),
             s.bits_of(&table, nine),
         ];
         found.extend(masks.map(u64::from));

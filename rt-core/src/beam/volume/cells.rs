@@ -3,7 +3,7 @@
 //! [`Steps`](crate::volume_ray::Steps), lane by lane. Where a ray crosses several planes at once it crosses them in one
 //! step; the cells between have no stretch of the ray.
 
-use super::packet::{CellBox, Packet};
+use super::packet::{CellBox, Limit, Packet};
 use crate::simd::{Mask, Simd, each};
 
 /// Where sixteen rays are in a box of cells.
@@ -14,15 +14,15 @@ pub(super) struct Cells<S: Simd> {
     crossing: [S::D; 3],
     /// What an axis' number grows by with each step: 1 or -1.
     one: [S::D; 3],
-    /// The same for `index`.
-    stride: [S::I; 3],
+    /// The same for `number`.
+    stride: [S::D; 3],
     /// Number of the cell in the brick: `x + 8 y + 64 z`.
-    pub(super) index: S::I,
+    number: S::D,
     /// Where the rays enter their cells, and leave the box.
     pub(super) enter: S::D,
     leave: S::D,
     /// Rays that are in the box.
-    pub(super) live: Mask,
+    live: S::M,
 }
 
 /// Where rays are in voxel cells, one each.
@@ -40,9 +40,14 @@ pub(super) struct InCells<D, F> {
 impl<S: Simd> Cells<S> {
     /// The cells in which the rays enter a box of cells of a brick with this lowest corner. `None` when none does.
     #[inline(always)]
-    pub(super) fn new(s: S, packet: &Packet<S::D>, cells: &CellBox, corner: [i32; 3]) -> Option<Self> {
+    pub(super) fn new(
+        s: S,
+        (packet, limit): (&Packet<S>, &Limit<S::D>),
+        cells: &CellBox,
+        corner: [i32; 3],
+    ) -> Option<Self> {
         let ends = packet.ends(s, cells);
-        let stretch = packet.stretch(s, &ends);
+        let stretch = packet.stretch(s, &ends, limit);
         if stretch.lanes == 0 {
             return None;
         }
@@ -65,38 +70,61 @@ impl<S: Simd> Cells<S> {
             s.sub_f64(low, s.splat_f64(f64::from(corner[axis])))
         });
         let eight = s.splat_f64(8.0);
-        let index = s.add_f64(x, s.mul_f64(eight, s.add_f64(y, s.mul_f64(eight, z))));
-        let stride = each!(3: [(0, 1), (1, 8), (2, 64)], (axis, stride) => {
-            s.select_int(packet.forwards[axis], s.splat_int(stride), s.splat_int(-stride))
-        });
-        let index = s.to_int(s.narrow(index));
-        let (enter, leave, live) = (stretch.enter, stretch.leave, stretch.lanes);
-        Some(Self { far, crossing, one, stride, index, enter, leave, live })
+        let number = s.add_f64(x, s.mul_f64(eight, s.add_f64(y, s.mul_f64(eight, z))));
+        let sixty_four = s.splat_f64(64.0);
+        let stride = [one[0], s.mul_f64(eight, one[1]), s.mul_f64(sixty_four, one[2])];
+        let live = s.wide_mask(stretch.lanes);
+        Some(Self { far, crossing, one, stride, number, enter: stretch.enter, leave: stretch.leave, live })
     }
 
-    /// Has every ray of `moving` go on from its cell to the next that may hold a surface. Gives the rays that are in one.
+    /// Number of each ray's cell in the brick: `x + 8 y + 64 z`.
     #[inline(always)]
-    pub(super) fn advance(&mut self, s: S, packet: &Packet<S::D>, active: &[u64; 8], moving: Mask) -> Mask {
-        let mut moving = moving & self.live;
-        while moving != 0 {
-            let exit = self.exit(s);
-            self.enter = s.select_f64(moving, exit, self.enter);
-            for axis in 0..3 {
-                let crossed = s.le_f64(self.crossing[axis], exit) & moving;
-                self.far[axis] = s.add_where_f64(crossed, self.far[axis], self.one[axis]);
-                self.crossing[axis] = packet.planes(s, axis, self.far[axis]);
-                self.index = s.add_where_int(crossed, self.index, self.stride[axis]);
+    pub(super) fn index(&self, s: S) -> S::I {
+        s.to_int(s.narrow(self.number))
+    }
+
+    /// Has every ray that is in a cell without its bit go on to the next with one, or out of the box. Gives the rays that
+    /// are in one.
+    #[inline(always)]
+    pub(super) fn seek(&mut self, s: S, packet: &Packet<S>, active: &[u64; 8]) -> Mask {
+        loop {
+            let there = s.wide_mask(s.bits_of(active, self.index(s)));
+            let moving = s.except(self.live, there);
+            if s.narrow_mask(moving) == 0 {
+                return s.narrow_mask(self.live);
             }
-            self.live &= s.lt_f64(self.enter, self.leave);
-            moving &= self.live & !s.bits_of(active, self.index);
+            self.step(s, packet, moving);
         }
-        self.live
+    }
+
+    /// Has these rays go on to their next cells.
+    #[inline(always)]
+    pub(super) fn step(&mut self, s: S, packet: &Packet<S>, moving: S::M) {
+        let exit = self.exit(s);
+        self.enter = s.select_f64(moving, exit, self.enter);
+        // Others cross nothing.
+        let exit = s.select_f64(moving, exit, s.splat_f64(f64::NEG_INFINITY));
+        for axis in 0..3 {
+            let crossed = s.le_f64(self.crossing[axis], exit);
+            self.far[axis] = s.add_where_f64(crossed, self.far[axis], self.one[axis]);
+            self.crossing[axis] = packet.planes(s, axis, self.far[axis]);
+            self.number = s.add_where_f64(crossed, self.number, self.stride[axis]);
+        }
+        self.live = s.both(self.live, s.lt_f64(self.enter, self.leave));
+    }
+
+    /// Has all rays but those of `done`, which leave, go on to their next cells.
+    #[inline(always)]
+    pub(super) fn leave(&mut self, s: S, packet: &Packet<S>, done: Mask) {
+        self.live = s.except(self.live, s.wide_mask(done));
+        self.step(s, packet, self.live);
     }
 
     /// Where the rays of `lanes` are in their cells.
     #[inline(always)]
-    pub(super) fn places(&self, s: S, packet: &Packet<S::D>, lanes: Mask) -> InCells<S::D, S::F> {
+    pub(super) fn places(&self, s: S, packet: &Packet<S>, lanes: Mask) -> InCells<S::D, S::F> {
         let exit = s.min_f64(self.exit(s), self.leave);
+        let (zero, one) = (s.splat_f64(0.0), s.splat_f64(1.0));
         let mut places = [[s.splat(0.0); 3]; 2];
         for axis in 0..3 {
             let forwards = packet.forwards[axis];
@@ -109,14 +137,13 @@ impl<S: Simd> Cells<S> {
             ];
             for (place, t) in places.iter_mut().zip([self.enter, exit]) {
                 let at = s.add_f64(packet.origin[axis], s.mul_f64(t, packet.direction[axis]));
-                let inside = s.narrow(s.sub_f64(at, low));
-                let inside = s.min(s.max(inside, s.splat(0.0)), s.splat(1.0));
-                let inside = s.select(s.eq_f64(t, at_high), s.splat(1.0), inside);
-                place[axis] = s.select(s.eq_f64(t, at_low), s.splat(0.0), inside);
+                let inside = s.select_f64(s.eq_f64(t, at_high), one, s.sub_f64(at, low));
+                let inside = s.narrow(s.select_f64(s.eq_f64(t, at_low), zero, inside));
+                place[axis] = s.min(s.max(inside, s.splat(0.0)), s.splat(1.0));
             }
         }
         let [from, to] = places;
-        InCells { enter: self.enter, exit, from, to, lanes: lanes & s.lt_f64(self.enter, exit) }
+        InCells { enter: self.enter, exit, from, to, lanes: lanes & s.narrow_mask(s.lt_f64(self.enter, exit)) }
     }
 
     /// Where the rays leave their cells.
@@ -125,15 +152,9 @@ impl<S: Simd> Cells<S> {
         s.min_f64(s.min_f64(self.crossing[0], self.crossing[1]), self.crossing[2])
     }
 
-    /// Takes rays out of the box.
-    #[inline(always)]
-    pub(super) fn stop(&mut self, lanes: Mask) {
-        self.live &= !lanes;
-    }
-
     /// Lowest corner of a ray's cell.
     pub(super) fn cell(&self, s: S, lane: usize, corner: [i32; 3]) -> [i32; 3] {
-        let index = s.int_array(self.index)[lane];
+        let index = s.int_array(self.index(s))[lane];
         [corner[0] + (index & 7), corner[1] + (index >> 3 & 7), corner[2] + (index >> 6 & 7)]
     }
 }
@@ -142,7 +163,7 @@ impl<S: Simd> Cells<S> {
 #[inline(always)]
 fn in_box<S: Simd>(
     s: S,
-    packet: &Packet<S::D>,
+    packet: &Packet<S>,
     axis: usize,
     (mut far, one): (S::D, S::D),
     (near_end, far_end): (S::D, S::D),
@@ -150,12 +171,15 @@ fn in_box<S: Simd>(
     lanes: Mask,
 ) -> S::D {
     let back = s.sub_f64(s.splat_f64(0.0), one);
+    let lanes = s.wide_mask(lanes);
     // No more steps than there are cells.
     for _ in 0..crate::volume::BRICK_CELLS {
         let near = s.add_f64(far, back);
-        let is_before = s.le_f64(packet.planes(s, axis, far), enter) & !s.eq_f64(far, far_end);
-        let is_behind = s.lt_f64(enter, packet.planes(s, axis, near)) & !s.eq_f64(near, near_end);
-        if (is_before | is_behind) & lanes == 0 {
+        let is_before = s.both(lanes, s.le_f64(packet.planes(s, axis, far), enter));
+        let is_before = s.except(is_before, s.eq_f64(far, far_end));
+        let is_behind = s.both(lanes, s.lt_f64(enter, packet.planes(s, axis, near)));
+        let is_behind = s.except(is_behind, s.eq_f64(near, near_end));
+        if s.narrow_mask(is_before) | s.narrow_mask(is_behind) == 0 {
             break;
         }
         far = s.add_where_f64(is_behind, s.add_where_f64(is_before, far, one), back);

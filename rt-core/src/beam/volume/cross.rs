@@ -3,9 +3,9 @@
 use super::brick_cells::BrickCells;
 use super::cells::{Cells, InCells};
 use super::cubics::Cubics;
-use super::packet::Packet;
+use super::packet::{Limit, Packet, Packets};
 use crate::beam::triangles::Bounds;
-use crate::brick::{CORNERS, SAMPLES};
+use crate::brick::SAMPLES;
 use crate::count::Count;
 use crate::isosurface::{Isosurfaces, Root};
 use crate::memory::SceneMemory;
@@ -19,8 +19,11 @@ pub(super) trait Targets<S: Simd> {
     /// The packets that something within these bounds may matter to, a bit each.
     fn interest(&mut self, s: S, bounds: &Bounds) -> u64;
 
-    /// A packet; `None` when it is not for beams.
-    fn packet(&mut self, s: S, number: usize) -> Option<&Packet<S::D>>;
+    /// Origins and directions of the rays of a packet.
+    fn rays(&self, s: S, number: usize) -> [[S::F; 3]; 2];
+
+    /// How far they look.
+    fn limit(&self, s: S, number: usize) -> Limit<S::D>;
 
     /// Takes roots of rays of a packet.
     fn take(&mut self, s: S, number: usize, roots: &Roots<'_, S>);
@@ -39,16 +42,22 @@ pub(super) struct Roots<'a, S: Simd> {
 }
 
 /// The way of some packets through a brick, kept apart: it needs all registers.
-pub(super) struct Cross<'a, M, C, T> {
+pub(super) struct Cross<'a, 'p, S: Simd, M, C, T> {
+    pub(super) packets: &'a mut Packets<'p, S>,
+    /// The packets that go through it.
+    pub(super) wanted: u64,
+    pub(super) look: Look<'a, M, C, T>,
+}
+
+/// What is looked for, and in what.
+pub(super) struct Look<'a, M, C, T> {
     pub(super) surfaces: &'a Isosurfaces<'a, M>,
     pub(super) targets: &'a mut T,
     pub(super) count: &'a mut C,
     pub(super) brick: &'a BrickCells,
-    /// The packets.
-    pub(super) wanted: u64,
 }
 
-impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Part<S> for Cross<'_, M, C, T> {
+impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Part<S> for Cross<'_, '_, S, M, C, T> {
     type Output = Option<()>;
 
     #[inline(always)]
@@ -56,33 +65,30 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Part<S> for Cross<'_, M, 
         while self.wanted != 0 {
             let number = self.wanted.trailing_zeros() as usize;
             self.wanted &= self.wanted - 1;
-            self.cross(s, number)?;
+            let packet = self.packets.get(s, self.look.targets, number)?;
+            self.look.cross(s, packet, number);
         }
         Some(())
     }
 }
 
-impl<M: SceneMemory, C: Count, T> Cross<'_, M, C, T> {
+impl<M: SceneMemory, C: Count, T> Look<'_, M, C, T> {
     /// Leads one packet through the brick.
     #[inline(always)]
-    fn cross<S: Simd>(&mut self, s: S, number: usize) -> Option<()>
+    fn cross<S: Simd>(&mut self, s: S, packet: &Packet<S>, number: usize)
     where
         T: Targets<S>,
     {
-        let packet = *self.targets.packet(s, number)?;
-        let Some(mut cells) = Cells::new(s, &packet, &self.brick.around, self.brick.corner) else {
-            return Some(());
-        };
-        let mut moving = cells.live & !s.bits_of(&self.brick.active, cells.index);
+        let rays = (packet, &self.targets.limit(s, number));
+        let Some(mut cells) = Cells::new(s, rays, &self.brick.around, self.brick.corner) else { return };
         loop {
-            let lanes = cells.advance(s, &packet, &self.brick.active, moving);
+            let lanes = cells.seek(s, packet, &self.brick.active);
             if lanes == 0 {
-                return Some(());
+                return;
             }
-            let places = cells.places(s, &packet, lanes);
-            let found = self.look(s, number, (&packet, &cells), &places);
-            cells.stop(found);
-            moving = cells.live;
+            let places = cells.places(s, packet, lanes);
+            let found = self.look(s, number, (packet, &cells), &places);
+            cells.leave(s, packet, found);
         }
     }
 
@@ -92,25 +98,26 @@ impl<M: SceneMemory, C: Count, T> Cross<'_, M, C, T> {
         &mut self,
         s: S,
         number: usize,
-        (packet, cells): (&Packet<S::D>, &Cells<S>),
+        (packet, cells): (&Packet<S>, &Cells<S>),
         places: &InCells<S::D, S::F>,
     ) -> Mask
     where
         T: Targets<S>,
     {
         self.count.voxel_cells(places.lanes.count_ones());
-        let samples = self.samples(s, cells.index);
-        let sought = self.surfaces.sought();
+        let index = cells.index(s);
+        let samples = self.samples(s, index);
         let (mut once, mut open, mut which) = (0, 0, s.splat(0.0));
-        for (index, sought) in sought.iter().enumerate() {
-            let lanes = places.lanes & s.bits_of(&self.brick.crossed[index], cells.index);
+        let all = self.surfaces.sought();
+        for (which_one, (sought, crossed)) in (0_u8..).zip(all.iter().zip(&self.brick.crossed)) {
+            let lanes = if all.len() == 1 { places.lanes } else { places.lanes & s.bits_of(crossed, index) };
             self.count.cubics(lanes.count_ones());
             let values = self.values(s, &samples, sought.stored);
             let changes = Cubics::new(s, &values, &places.from, &places.to).changes(s);
             // Of roots of several isosurfaces in a cell, the order has to be found out.
             open |= (changes.more | once) & changes.any() & lanes;
             once |= changes.once & lanes;
-            which = s.select(changes.once & lanes, s.splat(index as f32), which);
+            which = s.select(changes.once & lanes, s.splat(f32::from(which_one)), which);
         }
         let mut found = once & !open;
         if found != 0 {
@@ -134,8 +141,9 @@ impl<M: SceneMemory, C: Count, T> Cross<'_, M, C, T> {
     #[inline(always)]
     fn samples<S: Simd>(&self, s: S, index: S::I) -> [S::F; 8] {
         let mut samples = [s.splat(0.0); 8];
-        for (to, corner) in samples.iter_mut().zip(CORNERS) {
-            *to = s.gather::<SAMPLES>(&self.brick.samples, s.add_where_int(Mask::MAX, index, s.splat_int(corner as i32)));
+        for (pair, corner) in samples.as_chunks_mut().0.iter_mut().zip(ROWS) {
+            let index = s.add_where_int(Mask::MAX, index, s.splat_int(corner));
+            *pair = s.gather_pairs::<SAMPLES>(&self.brick.samples, index);
         }
         samples
     }
@@ -155,7 +163,7 @@ impl<M: SceneMemory, C: Count, T> Cross<'_, M, C, T> {
         &mut self,
         s: S,
         lane: usize,
-        (packet, cells): (&Packet<S::D>, &Cells<S>),
+        (packet, cells): (&Packet<S>, &Cells<S>),
         places: &InCells<S::D, S::F>,
         samples: &[S::F; 8],
     ) -> Option<Root> {
@@ -165,3 +173,6 @@ impl<M: SceneMemory, C: Count, T> Cross<'_, M, C, T> {
         self.surfaces.root_in_cell(&packet.ray(s, lane), cell, stretch, &samples, &mut ())
     }
 }
+
+/// From the lowest sample of a cell to the first of each two in a row.
+const ROWS: [i32; 4] = [0, 8, 64, 72];

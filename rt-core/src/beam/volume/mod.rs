@@ -93,7 +93,9 @@ impl<M: SceneMemory, C: Count, K: Kinds> Task for Draw<'_, M, C, K> {
                 *t_max = s.select(mesh.hit[block], meet_mesh(s, mesh, block, camera, tile).ok()?.t, *t_max);
             }
         }
-        let found = s.apart(See { view, surfaces, projection: &projection, tile, t_max: &t_max, work })?;
+        let mut found = [Found::nothing(s); BLOCKS];
+        let seeing = See { view, surfaces, projection: &projection, tile, t_max: &t_max, found: &mut found, work };
+        s.apart(seeing)?;
         let lighting = Lighting { eye: view.eye, light: view.light, shadow_offset: view.shadow_offset };
         let (mut lit, mut depths, mut dark) = (Lit::new(), Depths::new(), [[0.0; LANES]; BLOCKS]);
         let mut hits = 0;
@@ -159,18 +161,17 @@ struct See<'a, S: Simd, M, C> {
     projection: &'a Projection,
     tile: Tile,
     t_max: &'a [S::F; BLOCKS],
+    found: &'a mut [Found<S::D, S::F>; BLOCKS],
     work: &'a mut C,
 }
 
 impl<S: Simd, M: SceneMemory, C: Count> Part<S> for See<'_, S, M, C> {
-    type Output = Option<[Found<S::D, S::F>; BLOCKS]>;
+    type Output = Option<()>;
 
     #[inline(always)]
-    fn run(self, s: S) -> Self::Output {
-        let Self { view, surfaces, projection, tile, t_max, work } = self;
-        let mut pixels = Pixels::new(s, view, &surfaces.place, tile, t_max);
-        walk(s, surfaces, projection, &mut pixels, work)?;
-        Some(pixels.found)
+    fn run(self, s: S) -> Option<()> {
+        let Self { view, surfaces, projection, tile, t_max, found, work } = self;
+        walk(s, surfaces, projection, &mut Pixels::new(s, view, tile, found, t_max), work)
     }
 }
 
@@ -188,7 +189,7 @@ impl<S: Simd, M: SceneMemory, C: Count> Part<S> for Cast<'_, '_, M, C> {
     #[inline(always)]
     fn run(self, s: S) -> Option<()> {
         let Self { surfaces, projection, samples, work } = self;
-        walk(s, surfaces, projection, &mut Shadows::new(s, samples, &surfaces.place), work)
+        walk(s, surfaces, projection, &mut Shadows(samples), work)
     }
 }
 

@@ -2,18 +2,31 @@
 //!
 //! [`VolumeRay`], lane by lane.
 
+use super::cross::Targets;
 use crate::simd::{LANES, Mask, Simd, each};
 use crate::volume_ray::{TINY, VolumePlace, VolumeRay};
 
 /// Sixteen rays in cell units; see [`volume`](crate::volume).
 #[derive(Clone, Copy)]
-pub(super) struct Packet<D> {
-    pub(super) origin: [D; 3],
-    pub(super) direction: [D; 3],
+pub(super) struct Packet<S: Simd> {
+    pub(super) origin: [S::D; 3],
+    pub(super) direction: [S::D; 3],
     /// One over the direction, 0 taken as [`TINY`].
-    pub(super) inverse: [D; 3],
+    pub(super) inverse: [S::D; 3],
     /// Rays that run forwards, by axis.
-    pub(super) forwards: [Mask; 3],
+    pub(super) forwards: [S::M; 3],
+}
+
+/// The packets of a tile, each made when it is first needed.
+pub(super) struct Packets<'a, S: Simd> {
+    packets: &'a mut [Packet<S>; PACKETS],
+    place: VolumePlace,
+    made: u64,
+}
+
+/// How far rays look.
+#[derive(Clone, Copy)]
+pub(super) struct Limit<D> {
     /// Where nothing matters any more.
     pub(super) end: D,
     /// Rays that there are, and that still look for something.
@@ -34,21 +47,21 @@ pub(super) struct Stretch<D> {
     pub(super) lanes: Mask,
 }
 
-impl<D: Copy> Packet<D> {
+impl<S: Simd> Packet<S> {
     /// No rays.
-    pub(super) fn none<S: Simd<D = D>>(s: S) -> Self {
+    pub(super) fn none(s: S) -> Self {
         let zeros = [s.splat_f64(0.0); 3];
-        Self { origin: zeros, direction: zeros, inverse: zeros, forwards: [0; 3], end: zeros[0], open: 0 }
+        Self { origin: zeros, direction: zeros, inverse: zeros, forwards: [s.wide_mask(0); 3] }
     }
 
     /// The rays of these lanes, as [`VolumePlace::ray`] makes them; `None` when one of them has no direction, or is not
     /// finite.
     #[inline(always)]
-    pub(super) fn new<S: Simd<D = D>>(
+    pub(super) fn new(
         s: S,
         place: &VolumePlace,
-        (origin, direction): ([S::F; 3], [S::F; 3]),
-        (end, open): (S::D, Mask),
+        [origin, direction]: [[S::F; 3]; 2],
+        open: Mask,
     ) -> Option<Self> {
         let (zero, infinite) = (s.splat_f64(0.0), s.splat_f64(f64::INFINITY));
         let origin = each!(3: [0, 1, 2], axis => {
@@ -61,7 +74,8 @@ impl<D: Copy> Packet<D> {
         let (mut usable, mut is_zero) = (open, open);
         for numbers in [&origin, &direction] {
             for &number in numbers {
-                usable &= s.lt_f64(number, infinite) & s.lt_f64(s.sub_f64(zero, infinite), number);
+                let below = s.lt_f64(number, infinite);
+                usable &= s.narrow_mask(s.both(below, s.lt_f64(s.sub_f64(zero, infinite), number)));
             }
         }
         let inverse = each!(3: direction, d => {
@@ -72,29 +86,29 @@ impl<D: Copy> Packet<D> {
             return None;
         }
         let forwards = each!(3: inverse, inverse => s.lt_f64(zero, inverse));
-        Some(Self { origin, direction, inverse, forwards, end, open })
+        Some(Self { origin, direction, inverse, forwards })
     }
 
     /// One of the rays.
-    pub(super) fn ray<S: Simd<D = D>>(&self, s: S, lane: usize) -> VolumeRay {
-        let of = |vector: [D; 3]| vector.map(|axis| s.array_f64(axis)[lane % LANES]);
+    pub(super) fn ray(&self, s: S, lane: usize) -> VolumeRay {
+        let of = |vector: [S::D; 3]| vector.map(|axis| s.array_f64(axis)[lane % LANES]);
         VolumeRay {
             origin: of(self.origin),
             direction: of(self.direction),
             inverse: of(self.inverse),
-            far_side: self.forwards.map(|lanes| i32::from(lanes >> (lane % LANES) & 1 != 0)),
+            far_side: self.forwards.map(|lanes| i32::from(s.narrow_mask(lanes) >> (lane % LANES) & 1 != 0)),
         }
     }
 
     /// Where the rays are on planes of an axis.
     #[inline(always)]
-    pub(super) fn planes<S: Simd<D = D>>(&self, s: S, axis: usize, k: D) -> D {
+    pub(super) fn planes(&self, s: S, axis: usize, k: S::D) -> S::D {
         s.mul_f64(s.sub_f64(k, self.origin[axis]), self.inverse[axis])
     }
 
     /// The near and far planes of a box, by axis.
     #[inline(always)]
-    pub(super) fn ends<S: Simd<D = D>>(&self, s: S, cells: &CellBox) -> [[D; 3]; 2] {
+    pub(super) fn ends(&self, s: S, cells: &CellBox) -> [[S::D; 3]; 2] {
         let low = each!(3: cells.low, k => s.splat_f64(f64::from(k)));
         let high = each!(3: cells.high, k => s.splat_f64(f64::from(k)));
         [
@@ -103,22 +117,54 @@ impl<D: Copy> Packet<D> {
         ]
     }
 
-    /// Where open rays are in a box.
+    /// Where open rays are in a box between near and far planes.
     #[inline(always)]
-    pub(super) fn stretch<S: Simd<D = D>>(&self, s: S, [near, far]: &[[D; 3]; 2]) -> Stretch<D> {
+    pub(super) fn stretch(
+        &self,
+        s: S,
+        [near, far]: &[[S::D; 3]; 2],
+        limit: &Limit<S::D>,
+    ) -> Stretch<S::D> {
         let near = each!(3: [0, 1, 2], axis => self.planes(s, axis, near[axis]));
         let far = each!(3: [0, 1, 2], axis => self.planes(s, axis, far[axis]));
         let enter = s.max_f64(s.max_f64(near[0], near[1]), s.max_f64(near[2], s.splat_f64(0.0)));
-        let leave = s.min_f64(s.min_f64(far[0], far[1]), s.min_f64(far[2], self.end));
-        Stretch { enter, leave, lanes: s.lt_f64(enter, leave) & self.open }
+        let leave = s.min_f64(s.min_f64(far[0], far[1]), s.min_f64(far[2], limit.end));
+        Stretch { enter, leave, lanes: s.narrow_mask(s.lt_f64(enter, leave)) & limit.open }
     }
 }
+
+impl<'a, S: Simd> Packets<'a, S> {
+    /// Packets of rays in the space in which a volume lies like this, none of them made.
+    pub(super) const fn new(packets: &'a mut [Packet<S>; PACKETS], place: VolumePlace) -> Self {
+        Self { packets, place, made: 0 }
+    }
+
+    /// A packet; `None` when one of its rays is not for beams.
+    #[inline(always)]
+    pub(super) fn get<T: Targets<S>>(
+        &mut self,
+        s: S,
+        targets: &T,
+        number: usize,
+    ) -> Option<&Packet<S>> {
+        let number = number % PACKETS;
+        if self.made >> number & 1 == 0 {
+            let open = targets.limit(s, number).open;
+            self.packets[number] = Packet::new(s, &self.place, targets.rays(s, number), open)?;
+            self.made |= 1 << number;
+        }
+        Some(&self.packets[number])
+    }
+}
+
+/// Most packets of a tile.
+pub(super) const PACKETS: usize = 64;
 
 /// Zeros, and what is nearly zero, made [`TINY`] of the same sign.
 #[inline(always)]
 fn not_tiny<S: Simd>(s: S, d: S::D) -> S::D {
-    let tiny = s.lt_f64(d, s.splat_f64(TINY)) & s.lt_f64(s.splat_f64(-TINY), d);
-    if tiny == 0 {
+    let tiny = s.both(s.lt_f64(d, s.splat_f64(TINY)), s.lt_f64(s.splat_f64(-TINY), d));
+    if s.narrow_mask(tiny) == 0 {
         return d;
     }
     let mut lanes = s.array_f64(d);

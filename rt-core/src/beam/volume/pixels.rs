@@ -1,7 +1,7 @@
 //! The pixels of a tile, each looking for the first root on its ray.
 
 use super::cross::{Roots, Targets};
-use super::packet::Packet;
+use super::packet::Limit;
 use crate::beam::pixels::{blocks_within, present};
 use crate::beam::surface::directions;
 use crate::beam::triangles::Bounds;
@@ -9,19 +9,14 @@ use crate::blocks::BLOCKS;
 use crate::memory::SceneMemory;
 use crate::simd::{LANES, Mask, Simd, each};
 use crate::tile::{Tile, TileView};
-use crate::volume_ray::VolumePlace;
 
 /// The pixels of a tile: each block is a packet.
 pub(super) struct Pixels<'a, S: Simd, M> {
     view: &'a TileView<'a, M>,
-    place: VolumePlace,
     tile: Tile,
-    /// What else the pixels show, by depth; infinite where nothing.
-    t_max: &'a [S::F; BLOCKS],
-    packets: [Packet<S::D>; BLOCKS],
-    /// Blocks whose packet is made.
-    made: u64,
-    pub(super) found: [Found<S::D, S::F>; BLOCKS],
+    pub(super) found: &'a mut [Found<S::D, S::F>; BLOCKS],
+    /// What is deeper does not matter to a pixel; infinite where it shows nothing.
+    end: [S::D; BLOCKS],
     /// For each block: what has a smaller inverse depth does not matter.
     waiting: [f32; BLOCKS],
 }
@@ -43,17 +38,12 @@ pub(super) struct Found<D, F> {
     pub(super) known: Mask,
 }
 
-impl<'a, S: Simd, M: SceneMemory> Pixels<'a, S, M> {
+impl<D: Copy, F: Copy> Found<D, F> {
+    /// No roots.
     #[inline(always)]
-    pub(super) fn new(
-        s: S,
-        view: &'a TileView<'a, M>,
-        place: &VolumePlace,
-        tile: Tile,
-        t_max: &'a [S::F; BLOCKS],
-    ) -> Self {
+    pub(super) fn nothing<S: Simd<D = D, F = F>>(s: S) -> Self {
         let (zero, zeros) = (s.splat(0.0), s.splat_f64(0.0));
-        let found = Found {
+        Self {
             lanes: 0,
             enter: zeros,
             exit: zeros,
@@ -63,19 +53,33 @@ impl<'a, S: Simd, M: SceneMemory> Pixels<'a, S, M> {
             sought: zero,
             at: zero,
             known: 0,
-        };
-        let mut waiting = [0.0; BLOCKS];
-        for (block, waiting) in waiting.iter_mut().enumerate() {
-            *waiting = nearest_of_no_matter(s, present(tile, block), t_max[block]);
         }
-        let packets = [Packet::none(s); BLOCKS];
-        Self { view, place: *place, tile, t_max, packets, made: 0, found: [found; BLOCKS], waiting }
+    }
+}
+
+impl<'a, S: Simd, M: SceneMemory> Pixels<'a, S, M> {
+    /// Pixels that show other things at these depths, or infinitely deep.
+    #[inline(always)]
+    pub(super) fn new(
+        s: S,
+        view: &'a TileView<'a, M>,
+        tile: Tile,
+        found: &'a mut [Found<S::D, S::F>; BLOCKS],
+        t_max: &[S::F; BLOCKS],
+    ) -> Self {
+        let mut pixels =
+            Self { view, tile, found, end: [s.splat_f64(0.0); BLOCKS], waiting: [0.0; BLOCKS] };
+        for (block, &t_max) in t_max.iter().enumerate() {
+            pixels.end[block] = s.widen(t_max);
+            pixels.waiting[block] = of_no_matter(s, present(tile, block), t_max);
+        }
+        pixels
     }
 }
 
 /// The inverse depth below which nothing matters to pixels that look no deeper than `t`; infinite for none.
 #[inline(always)]
-fn nearest_of_no_matter<S: Simd>(s: S, lanes: Mask, t: S::F) -> f32 {
+fn of_no_matter<S: Simd>(s: S, lanes: Mask, t: S::F) -> f32 {
     let farthest = -s.least(s.sub(s.splat(0.0), s.select(lanes, t, s.splat(0.0))));
     (1.0 - 1.0 / 1_048_576.0) / farthest
 }
@@ -101,26 +105,24 @@ impl<S: Simd, M: SceneMemory> Targets<S> for Pixels<'_, S, M> {
     }
 
     #[inline(always)]
-    fn packet(&mut self, s: S, number: usize) -> Option<&Packet<S::D>> {
+    fn rays(&self, s: S, number: usize) -> [[S::F; 3]; 2] {
+        [s.splat3(self.view.eye), directions(s, &self.view.frame.camera, self.tile, number % BLOCKS)]
+    }
+
+    #[inline(always)]
+    fn limit(&self, _: S, number: usize) -> Limit<S::D> {
         let block = number % BLOCKS;
-        if self.made >> block & 1 == 0 {
-            let origin = s.splat3(self.view.eye);
-            let direction = directions(s, &self.view.frame.camera, self.tile, block);
-            let end = s.widen(self.t_max[block]);
-            let open = present(self.tile, block);
-            self.packets[block] = Packet::new(s, &self.place, (origin, direction), (end, open))?;
-            self.made |= 1 << block;
-        }
-        Some(&self.packets[block])
+        Limit { end: self.end[block], open: present(self.tile, block) }
     }
 
     #[inline(always)]
     fn take(&mut self, s: S, number: usize, roots: &Roots<'_, S>) {
         let block = number % BLOCKS;
         let (found, lanes, places) = (&mut self.found[block], roots.lanes, roots.places);
+        let wide = s.wide_mask(lanes);
         found.lanes |= lanes;
-        found.enter = s.select_f64(lanes, places.enter, found.enter);
-        found.exit = s.select_f64(lanes, places.exit, found.exit);
+        found.enter = s.select_f64(wide, places.enter, found.enter);
+        found.exit = s.select_f64(wide, places.exit, found.exit);
         for axis in 0..3 {
             found.from[axis] = s.select(lanes, places.from[axis], found.from[axis]);
             found.to[axis] = s.select(lanes, places.to[axis], found.to[axis]);
@@ -135,8 +137,8 @@ impl<S: Simd, M: SceneMemory> Targets<S> for Pixels<'_, S, M> {
             found.known |= lanes;
         }
         // What begins behind the cell of a root is of no matter.
-        let packet = &mut self.packets[block];
-        packet.end = s.select_f64(lanes, places.enter, packet.end);
-        self.waiting[block] = nearest_of_no_matter(s, packet.open, s.narrow(packet.end));
+        let end = s.select_f64(wide, places.enter, self.end[block]);
+        self.end[block] = end;
+        self.waiting[block] = of_no_matter(s, present(self.tile, block), s.narrow(end));
     }
 }

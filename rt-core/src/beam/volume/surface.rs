@@ -67,11 +67,10 @@ fn normal<S: Simd>(
         face(s, samples, ([0, 1, 4, 5], 2), x, z),
         face(s, samples, ([0, 1, 2, 3], 4), x, y),
     ];
-    let zero = s.splat_f64(0.0);
     let downwards = each!(3: [0, 1, 2], axis => {
         s.mul_f64(negated(s, s.widen(gradient[axis])), s.splat_f64(per_length[axis]))
     });
-    let is_zero = each!(3: downwards, component => s.eq_f64(component, zero));
+    let is_zero = each!(3: downwards, component => s.is_zero_f64(component));
     let is_zero = is_zero[0] & is_zero[1] & is_zero[2];
     let normal = unit(s, downwards);
     if is_zero & found.lanes == 0 {

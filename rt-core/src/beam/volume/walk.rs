@@ -1,8 +1,8 @@
 //! The walk of a beam through the tree of ranges, front to back, and through the bricks that any of its rays enters.
 
 use super::brick_cells::BrickCells;
-use super::cross::{Cross, Targets};
-use super::packet::CellBox;
+use super::cross::{Cross, Look, Targets};
+use super::packet::{CellBox, PACKETS, Packet, Packets};
 use crate::beam::boxes::Boxes;
 use crate::beam::frustum::CELLS;
 use crate::beam::projection::Projection;
@@ -30,12 +30,13 @@ pub(super) fn walk<S: Simd, M: SceneMemory, C: Count, T: Targets<S>>(
     let negative = |axis: usize| if depth[axis] < 0.0 { FLIP_AXIS[axis] } else { 0 };
     let flip = negative(0) | negative(1) | negative(2);
     let budget = Budget { branches: surfaces.volume.branches, bricks: surfaces.volume.bricks };
-    let brick = BrickCells::new();
-    Walk { s, surfaces, projection, flip, targets, count, budget, brick }.run()
+    let (mut brick, mut packets) = (BrickCells::new(), [Packet::none(s); PACKETS]);
+    let packets = Packets::new(&mut packets, surfaces.place);
+    Walk { s, surfaces, projection, flip, targets, count, budget, brick: &mut brick, packets }.run()
 }
 
 /// A walk under way.
-struct Walk<'a, S, M, C, T> {
+struct Walk<'a, S: Simd, M, C, T> {
     s: S,
     surfaces: &'a Isosurfaces<'a, M>,
     projection: &'a Projection,
@@ -44,7 +45,8 @@ struct Walk<'a, S, M, C, T> {
     targets: &'a mut T,
     count: &'a mut C,
     budget: Budget,
-    brick: BrickCells,
+    brick: &'a mut BrickCells,
+    packets: Packets<'a, S>,
 }
 
 /// A branch that the beam is in.
@@ -138,17 +140,19 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
         drop(record);
         let around = self.bounds(&self.brick.around);
         let wanted = wanted & self.targets.interest(self.s, &around);
-        let Self { s, surfaces, targets, count, brick, .. } = self;
-        s.apart(Cross { surfaces: *surfaces, targets: *targets, count: *count, brick, wanted })
+        let Self { s, surfaces, targets, count, brick, packets, .. } = self;
+        s.apart(Cross { packets, wanted, look: Look { surfaces: *surfaces, targets: *targets, count: *count, brick: *brick } })
     }
 
     /// Whether any of the packets enters a box of cells.
     #[inline(always)]
     fn is_entered(&mut self, cells: &CellBox, mut packets: u64) -> Option<bool> {
         while packets != 0 {
-            let packet = self.targets.packet(self.s, packets.trailing_zeros() as usize)?;
+            let number = packets.trailing_zeros() as usize;
             packets &= packets - 1;
-            if packet.stretch(self.s, &packet.ends(self.s, cells)).lanes != 0 {
+            let limit = self.targets.limit(self.s, number);
+            let packet = self.packets.get(self.s, &*self.targets, number)?;
+            if packet.stretch(self.s, &packet.ends(self.s, cells), &limit).lanes != 0 {
                 return Some(true);
             }
         }
