@@ -196,14 +196,7 @@ impl Lit {
         view: &TileView<'_, M>,
         work: &mut C,
     ) -> Result<u64, Damaged> {
-        let shadowed = match self.points.projection(s, view.light) {
-            Some(projection) => by_beam::<S, M, C, K>(s, &self.points, &projection, view, work)?,
-            None => None,
-        };
-        let shadowed = match shadowed {
-            Some(shadowed) => shadowed,
-            None => by_rays::<S, M, C, K>(s, &self.points, view, work)?,
-        };
+        let shadowed = shadowed::<S, M, C, K>(s, &self.points, view, work)?;
         Ok(self.darken(&shadowed, |_, _| SHADOW))
     }
 
@@ -224,6 +217,24 @@ impl Lit {
             }
         }
         count
+    }
+}
+
+/// Whether each point lies in the shadow of triangles or spheres.
+#[inline(always)]
+fn shadowed<S: Simd, M: SceneMemory, C: Count, K: Kinds>(
+    s: S,
+    points: &Points,
+    view: &TileView<'_, M>,
+    work: &mut C,
+) -> Result<[bool; POINTS_MAX], Damaged> {
+    let by_beam = match points.projection(s, view.light) {
+        Some(projection) => by_beam::<S, M, C, K>(s, points, &projection, view, work)?,
+        None => None,
+    };
+    match by_beam {
+        Some(shadowed) => Ok(shadowed),
+        None => by_rays::<S, M, C, K>(s, points, view, work),
     }
 }
 

@@ -109,6 +109,18 @@ impl<'a> Samples<'a> {
         }
     }
 
+    /// The same for every sample that something else was found to shadow.
+    #[cfg(feature = "volumes")]
+    #[inline(always)]
+    pub(super) fn close_those<S: Simd>(&mut self, s: S, shadowed: &[bool; POINTS_MAX]) {
+        for (group, shadowed) in shadowed.as_chunks::<LANES>().0.iter().enumerate() {
+            let lanes = (0..LANES).fold(0, |lanes, lane| lanes | Mask::from(shadowed[lane]) << lane);
+            if lanes != 0 {
+                self.close_all(s, group, lanes);
+            }
+        }
+    }
+
     #[inline(always)]
     pub(super) fn is_open(&self, (group, lane): (usize, usize)) -> bool {
         self.open[group] >> lane & 1 != 0

@@ -110,6 +110,7 @@ const fn last_of_two(length: usize) -> i32 {
 ///
 /// `min`, `max` and comparisons treat NaN as the x86 instructions do: `min` and `max` give the second operand,
 /// comparisons are false.
+#[cfg_attr(not(feature = "volumes"), allow(dead_code, reason = "some operations are for volumes alone"))]
 pub(crate) trait Simd: Copy {
     /// Sixteen `f32`.
     type F: Copy;

@@ -3,8 +3,9 @@
 //! [`Steps`](crate::volume_ray::Steps), lane by lane. Where a ray crosses several planes at once it crosses them in one
 //! step; the cells between have no stretch of the ray.
 
-use super::packet::{CellBox, Limit, Packet};
+use super::packet::{CellBox, Limit, Packet, Stretch};
 use crate::simd::{Mask, Simd, each};
+use crate::volume::BRICK_CELLS;
 
 /// Where sixteen rays are in a box of cells.
 pub(super) struct Cells<S: Simd> {
@@ -60,11 +61,7 @@ impl<S: Simd> Cells<S> {
             let at = s.max_f64(s.min_f64(s.floor_f64(at), last), s.splat_f64(f64::from(cells.low[axis])));
             s.add_f64(at, s.select_f64(packet.forwards[axis], plus, zero))
         });
-        let far = each!(3: [0, 1, 2], axis => {
-            let (near_end, far_end) = (ends[0][axis], ends[1][axis]);
-            in_box(s, packet, axis, (far[axis], one[axis]), (near_end, far_end), stretch.enter, stretch.lanes)
-        });
-        let crossing = each!(3: [0, 1, 2], axis => packet.planes(s, axis, far[axis]));
+        let (far, crossing) = in_box(s, packet, (far, one), &ends, &stretch);
         let [x, y, z] = each!(3: [0, 1, 2], axis => {
             let low = s.select_f64(packet.forwards[axis], s.sub_f64(far[axis], plus), far[axis]);
             s.sub_f64(low, s.splat_f64(f64::from(corner[axis])))
@@ -125,25 +122,32 @@ impl<S: Simd> Cells<S> {
     pub(super) fn places(&self, s: S, packet: &Packet<S>, lanes: Mask) -> InCells<S::D, S::F> {
         let exit = s.min_f64(self.exit(s), self.leave);
         let (zero, one) = (s.splat_f64(0.0), s.splat_f64(1.0));
-        let mut places = [[s.splat(0.0); 3]; 2];
+        let (mut from, mut to) = ([s.splat(0.0); 3], [s.splat(0.0); 3]);
         for axis in 0..3 {
-            let forwards = packet.forwards[axis];
             let near = s.sub_f64(self.far[axis], self.one[axis]);
-            let near_crossing = packet.planes(s, axis, near);
-            let low = s.select_f64(forwards, near, self.far[axis]);
-            let [at_low, at_high] = [
-                s.select_f64(forwards, near_crossing, self.crossing[axis]),
-                s.select_f64(forwards, self.crossing[axis], near_crossing),
-            ];
-            for (place, t) in places.iter_mut().zip([self.enter, exit]) {
-                let at = s.add_f64(packet.origin[axis], s.mul_f64(t, packet.direction[axis]));
-                let inside = s.select_f64(s.eq_f64(t, at_high), one, s.sub_f64(at, low));
-                let inside = s.narrow(s.select_f64(s.eq_f64(t, at_low), zero, inside));
-                place[axis] = s.min(s.max(inside, s.splat(0.0)), s.splat(1.0));
-            }
+            let low = s.select_f64(packet.forwards[axis], near, self.far[axis]);
+            // A ray enters behind no near plane and leaves before no far one, so on none but these can it be.
+            let at_near = s.eq_f64(self.enter, packet.planes(s, axis, near));
+            let at_far = s.eq_f64(exit, self.crossing[axis]);
+            let near_side = s.select_f64(packet.forwards[axis], zero, one);
+            let far_side = s.select_f64(packet.forwards[axis], one, zero);
+            let entry = s.select_f64(at_near, near_side, Self::inside(s, packet, axis, (self.enter, low)));
+            let end = s.select_f64(at_far, far_side, Self::inside(s, packet, axis, (exit, low)));
+            (from[axis], to[axis]) = (clamp(s, entry), clamp(s, end));
         }
-        let [from, to] = places;
-        InCells { enter: self.enter, exit, from, to, lanes: lanes & s.narrow_mask(s.lt_f64(self.enter, exit)) }
+        InCells {
+            enter: self.enter,
+            exit,
+            from,
+            to,
+            lanes: lanes & s.narrow_mask(s.lt_f64(self.enter, exit)),
+        }
+    }
+
+    /// The place of `t` in cells along an axis, from their lowest corners.
+    #[inline(always)]
+    fn inside(s: S, packet: &Packet<S>, axis: usize, (t, low): (S::D, S::D)) -> S::D {
+        s.sub_f64(s.add_f64(packet.origin[axis], s.mul_f64(t, packet.direction[axis])), low)
     }
 
     /// Where the rays leave their cells.
@@ -159,30 +163,39 @@ impl<S: Simd> Cells<S> {
     }
 }
 
-/// Moves the far planes of cells, along one axis of a box, to the cells that the rays are in after `enter`.
+/// Moves cells, by their far planes, to those that the rays are in after they enter a box; and where they leave them.
 #[inline(always)]
 fn in_box<S: Simd>(
     s: S,
     packet: &Packet<S>,
-    axis: usize,
-    (mut far, one): (S::D, S::D),
-    (near_end, far_end): (S::D, S::D),
-    enter: S::D,
-    lanes: Mask,
-) -> S::D {
-    let back = s.sub_f64(s.splat_f64(0.0), one);
-    let lanes = s.wide_mask(lanes);
+    (mut far, one): ([S::D; 3], [S::D; 3]),
+    [near_ends, far_ends]: &[[S::D; 3]; 2],
+    stretch: &Stretch<S::D>,
+) -> ([S::D; 3], [S::D; 3]) {
+    let mut crossing = each!(3: [0, 1, 2], axis => packet.planes(s, axis, far[axis]));
+    let lanes = s.wide_mask(stretch.lanes);
     // No more steps than there are cells.
-    for _ in 0..crate::volume::BRICK_CELLS {
-        let near = s.add_f64(far, back);
-        let is_before = s.both(lanes, s.le_f64(packet.planes(s, axis, far), enter));
-        let is_before = s.except(is_before, s.eq_f64(far, far_end));
-        let is_behind = s.both(lanes, s.lt_f64(enter, packet.planes(s, axis, near)));
-        let is_behind = s.except(is_behind, s.eq_f64(near, near_end));
-        if s.narrow_mask(is_before) | s.narrow_mask(is_behind) == 0 {
+    for _ in 0..BRICK_CELLS {
+        let mut wrong = 0;
+        for axis in 0..3 {
+            let near = s.sub_f64(far[axis], one[axis]);
+            let is_before = s.both(lanes, s.le_f64(crossing[axis], stretch.enter));
+            let is_before = s.except(is_before, s.eq_f64(far[axis], far_ends[axis]));
+            let is_behind = s.both(lanes, s.lt_f64(stretch.enter, packet.planes(s, axis, near)));
+            let is_behind = s.except(is_behind, s.eq_f64(near, near_ends[axis]));
+            wrong |= s.narrow_mask(is_before) | s.narrow_mask(is_behind);
+            far[axis] = s.select_f64(is_behind, near, s.add_where_f64(is_before, far[axis], one[axis]));
+        }
+        if wrong == 0 {
             break;
         }
-        far = s.add_where_f64(is_behind, s.add_where_f64(is_before, far, one), back);
+        crossing = each!(3: [0, 1, 2], axis => packet.planes(s, axis, far[axis]));
     }
-    far
+    (far, crossing)
+}
+
+/// Single precision, in `0..=1`.
+#[inline(always)]
+fn clamp<S: Simd>(s: S, value: S::D) -> S::F {
+    s.min(s.max(s.narrow(value), s.splat(0.0)), s.splat(1.0))
 }

@@ -29,30 +29,26 @@ mod walk;
 
 use core::marker::PhantomData;
 
-use super::frustum::Frustum;
-use super::points::POINTS_MAX;
-use super::sample_tests::Shadows as MeshShadows;
+use glam::Vec3;
+
+use super::pixels::Pixels as MeshPixels;
+use super::points::{POINTS_MAX, Points};
 use super::samples::Samples;
-use super::sphere_samples::SphereRoom;
 use super::surface::{Lighting, Met, directions, meet as meet_mesh, shade};
-use super::walk::{Beam, walk as walk_mesh};
-use super::{Lit, Projection, see, write};
-use crate::blocks::BLOCKS;
+use super::{Lit, Projection, see, shadowed, write};
+use crate::blocks::{BLOCKS, ByBlock};
 use crate::count::{Count, TileCounts};
-use crate::grid_ray::GridRay;
 use crate::isosurface::Isosurfaces;
 use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
-use crate::scale::Scale;
 use crate::shade::{ALBEDO, AMBIENT, BACKGROUND, byte};
-use crate::simd::{LANES, Lanes, Part, Simd, Task};
+use crate::simd::{LANES, Lanes, Mask, Part, Simd, Task};
 use crate::tile::{Depths, Tile, TileView};
 use crate::volume_memo::TileMemo;
-use crate::walk::walk as walk_by_ray;
 use pixels::{Found, Pixels};
 use shadows::Shadows;
 use surface::{by_sought, meet};
-use walk::walk;
+use walk::{shows, walk};
 
 /// Draws a tile by beams, or tells that it has to be drawn by rays.
 pub(crate) fn draw<M: SceneMemory, C: Count, K: Kinds>(
@@ -81,62 +77,121 @@ impl<M: SceneMemory, C: Count, K: Kinds> Task for Draw<'_, M, C, K> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) -> Option<TileCounts> {
         let Self { view, surfaces, tile, pixels: bytes, work, .. } = self;
-        let camera = &view.frame.camera;
-        let projection = Projection::of_tile(camera, view.eye, tile)?;
+        let projection = Projection::of_tile(&view.frame.camera, view.eye, tile)?;
         let mesh = match view.scene.header().needs.has_primitives() {
             true => see::<S, M, C, K>(s, view, tile, work)?.ok()?,
             false => None,
         };
-        let mut t_max = [s.splat(f32::INFINITY); BLOCKS];
-        if let Some(mesh) = &mesh {
-            for (block, t_max) in t_max.iter_mut().enumerate().filter(|(block, _)| mesh.hit[*block] != 0) {
-                *t_max = s.select(mesh.hit[block], meet_mesh(s, mesh, block, camera, tile).ok()?.t, *t_max);
-            }
+        if mesh.is_none() && !shows(s, surfaces, &projection) {
+            return Some(nothing(tile, bytes));
         }
+        let picture = Picture { view, surfaces, tile, mesh };
+        let t_max = picture.depths_of_mesh(s)?;
         let mut found = [Found::nothing(s); BLOCKS];
-        let seeing = See { view, surfaces, projection: &projection, tile, t_max: &t_max, found: &mut found, work };
-        s.apart(seeing)?;
-        let lighting = Lighting { eye: view.eye, light: view.light, shadow_offset: view.shadow_offset };
-        let (mut lit, mut depths, mut dark) = (Lit::new(), Depths::new(), [[0.0; LANES]; BLOCKS]);
-        let mut hits = 0;
-        for block in 0..BLOCKS {
-            let by_mesh = mesh.as_ref().map_or(0, |mesh| mesh.hit[block]) & !found[block].lanes;
-            let hit = by_mesh | found[block].lanes;
-            if hit == 0 {
-                continue;
-            }
-            hits += u64::from(hit.count_ones());
-            let (mut met, mut albedo) = (Met::nothing(s, directions(s, camera, tile, block)), s.splat(ALBEDO));
-            if found[block].lanes != 0 {
-                met = meet(s, surfaces, &found[block], met.direction);
-                albedo = albedo_of(s, view, surfaces, &found[block]);
-            }
-            if let Some(mesh) = mesh.as_ref().filter(|_| by_mesh != 0) {
-                let of_mesh = meet_mesh(s, mesh, block, camera, tile).ok()?;
-                met = met.with(s, by_mesh, &of_mesh);
-                albedo = s.select(by_mesh, s.splat(ALBEDO), albedo);
-            }
-            let seen = shade(s, &met, albedo, &lighting);
-            s.store(s.select(hit, seen.t, s.splat(0.0)), depths.block(block));
-            let unlit = s.mul(albedo, s.splat(AMBIENT));
-            s.store(unlit, &mut dark[block]);
-            lit.add(s, block, hit, &seen, unlit);
+        let projection = &projection;
+        s.apart(See { view, surfaces, projection, tile, t_max: &t_max, found: &mut found, work })?;
+        let mut painted = picture.paint(s, &found)?;
+        if painted.hits == 0 {
+            return Some(nothing(tile, bytes));
         }
-        let counts = TileCounts { primary: tile.pixels() as u64, hits, ..TileCounts::default() };
-        if hits == 0 {
-            bytes.fill(byte(BACKGROUND));
-            return Some(counts);
-        }
+        let lit = &mut painted.lit;
         let shadow = if view.frame.has_shadows() { lit.points.count as u64 } else { 0 };
-        let mut shadowed = 0;
+        let mut dark = 0;
         if shadow != 0 {
-            let in_shadow = s.apart(Shade::<_, _, K> { view, surfaces, lit: &lit, work, kinds: PhantomData })?;
-            shadowed = lit.darken(&in_shadow, |block, lane| dark[block][lane]);
+            let in_shadow = s.apart(Shade::<_, _, K> { view, surfaces, lit, work, kinds: PhantomData })?;
+            dark = lit.darken(&in_shadow, |block, lane| painted.dark[block][lane]);
         }
         write(s, &lit.grey, tile, bytes);
-        let t_sum = depths.sum(view.scene.header().scale().inverse());
-        Some(TileCounts { shadow, lit: shadow - shadowed, t_sum, ..counts })
+        let t_sum = painted.depths.sum(view.scene.header().scale().inverse());
+        let (primary, hits) = (tile.pixels() as u64, painted.hits);
+        Some(TileCounts { primary, hits, shadow, lit: shadow - dark, damaged: 0, t_sum })
     }
+}
+
+/// A tile, and what its pixels show of triangles and spheres.
+struct Picture<'a, M, K> {
+    view: &'a TileView<'a, M>,
+    surfaces: &'a Isosurfaces<'a, M>,
+    tile: Tile,
+    mesh: Option<MeshPixels<'a, M, K>>,
+}
+
+/// The pixels of a tile before shadows fall on them.
+struct Painted {
+    lit: Lit,
+    depths: Depths,
+    /// Their greys where no light falls.
+    dark: ByBlock<f32>,
+    hits: u64,
+}
+
+impl<M: SceneMemory, K: Kinds> Picture<'_, M, K> {
+    /// Depths of triangles and spheres; infinite where there is none.
+    #[inline(always)]
+    fn depths_of_mesh<S: Simd>(&self, s: S) -> Option<[S::F; BLOCKS]> {
+        let mut depths = [s.splat(f32::INFINITY); BLOCKS];
+        if let Some(mesh) = &self.mesh {
+            for (block, depth) in depths.iter_mut().enumerate() {
+                let hit = mesh.hit[block];
+                if hit != 0 {
+                    let met = meet_mesh(s, mesh, block, &self.view.frame.camera, self.tile).ok()?;
+                    *depth = s.select(hit, met.t, *depth);
+                }
+            }
+        }
+        Some(depths)
+    }
+
+    #[inline(always)]
+    fn paint<S: Simd>(&self, s: S, found: &[Found<S::D, S::F>; BLOCKS]) -> Option<Painted> {
+        let &TileView { eye, light, shadow_offset, .. } = self.view;
+        let lighting = Lighting { eye, light, shadow_offset };
+        let dark = [[0.0; LANES]; BLOCKS];
+        let mut painted = Painted { lit: Lit::new(), depths: Depths::new(), dark, hits: 0 };
+        for (block, found) in found.iter().enumerate() {
+            let by_mesh = self.mesh.as_ref().map_or(0, |mesh| mesh.hit[block]) & !found.lanes;
+            let hit = by_mesh | found.lanes;
+            if hit != 0 {
+                let (met, albedo) = self.meet(s, block, found, by_mesh)?;
+                let seen = shade(s, &met, albedo, &lighting);
+                let dark = s.mul(albedo, s.splat(AMBIENT));
+                s.store(s.select(hit, seen.t, s.splat(0.0)), painted.depths.block(block));
+                s.store(dark, &mut painted.dark[block]);
+                painted.lit.add(s, block, hit, &seen, dark);
+                painted.hits += u64::from(hit.count_ones());
+            }
+        }
+        Some(painted)
+    }
+
+    /// What the pixels of a block meet, and its greys; those of `by_mesh` meet triangles or spheres.
+    #[inline(always)]
+    fn meet<S: Simd>(
+        &self,
+        s: S,
+        block: usize,
+        found: &Found<S::D, S::F>,
+        by_mesh: Mask,
+    ) -> Option<(Met<S::F>, S::F)> {
+        let camera = &self.view.frame.camera;
+        let (mut met, mut albedo) =
+            (Met::nothing(s, directions(s, camera, self.tile, block)), s.splat(ALBEDO));
+        if found.lanes != 0 {
+            met = meet(s, self.surfaces, found, met.direction);
+            albedo = albedo_of(s, self.view, self.surfaces, found);
+        }
+        if let Some(mesh) = self.mesh.as_ref().filter(|_| by_mesh != 0) {
+            met = met.with(s, by_mesh, &meet_mesh(s, mesh, block, camera, self.tile).ok()?);
+            albedo = s.select(by_mesh, s.splat(ALBEDO), albedo);
+        }
+        Some((met, albedo))
+    }
+}
+
+/// Draws a tile in which nothing shows.
+fn nothing(tile: Tile, bytes: &mut [u8]) -> TileCounts {
+    bytes.fill(byte(BACKGROUND));
+    TileCounts { primary: tile.pixels() as u64, ..TileCounts::default() }
 }
 
 /// The grey of the isosurface that each pixel shows.
@@ -206,48 +261,41 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds> Part<S> for Shade<'_, M, C, K>
     type Output = Option<[bool; POINTS_MAX]>;
 
     #[inline(always)]
-    fn run(mut self, s: S) -> Self::Output {
-        match self.lit.points.projection(s, self.view.light) {
-            Some(projection) => self.by_beam(s, &projection),
-            None => self.by_rays(s),
+    fn run(self, s: S) -> Self::Output {
+        let Self { view, surfaces, lit, work, .. } = self;
+        let points = &lit.points;
+        let mut in_shadow = [false; POINTS_MAX];
+        if view.scene.header().needs.has_primitives() {
+            in_shadow = shadowed::<S, M, C, K>(s, points, view, work).ok()?;
         }
+        let Some(projection) = points.projection(s, view.light) else {
+            return ByRays { surfaces, points, light: view.light, work }.add_to(in_shadow);
+        };
+        let mut samples = Samples::new(s, points, &projection);
+        samples.close_those(s, &in_shadow);
+        s.apart(Cast { surfaces, projection: &projection, samples: &mut samples, work })?;
+        Some(samples.shadowed)
     }
 }
 
-impl<M: SceneMemory, C: Count, K: Kinds> Shade<'_, M, C, K> {
-    #[inline(always)]
-    fn by_beam<S: Simd>(&mut self, s: S, projection: &Projection) -> Option<[bool; POINTS_MAX]> {
-        let Self { view, surfaces, lit, work, .. } = self;
-        let mut samples = Samples::new(s, &lit.points, projection);
-        if view.scene.header().needs.has_primitives() {
-            let frustum = Frustum::new(s, projection, &view.scene.header().grid)?;
-            let spheres = if K::SPHERES { Some(SphereRoom::new()) } else { None };
-            let mut by_mesh = MeshShadows::new(samples, spheres);
-            let beam = Beam { projection, frustum: &frustum };
-            walk_mesh::<S, M, C, K, _>(s, view.scene, &beam, &mut by_mesh, *work).ok()?;
-            samples = by_mesh.samples;
-        }
-        s.apart(Cast { surfaces, projection, samples: &mut samples, work: *work })?;
-        Some(samples.shadowed)
-    }
+/// The shadows that the volume casts on points where the light is not for beams.
+struct ByRays<'a, M, C> {
+    surfaces: &'a Isosurfaces<'a, M>,
+    points: &'a Points,
+    light: Vec3,
+    work: &'a mut C,
+}
 
-    #[inline(always)]
-    fn by_rays<S: Simd>(&mut self, s: S) -> Option<[bool; POINTS_MAX]> {
-        let Self { view, surfaces, lit, work, .. } = self;
-        let (mut shadowed, mut memo) = ([false; POINTS_MAX], TileMemo::new());
-        for (index, shadowed) in shadowed.iter_mut().take(lit.points.count).enumerate() {
-            let point = lit.points.get(index);
-            let to_light = view.light - point;
-            if view.scene.header().needs.has_primitives()
-                && let Some(ray) = GridRay::new(point, to_light, 1.0, Scale::ONE, &view.scene.header().grid)
-            {
-                let nearest = walk_by_ray::<S, M, C, K, true>(s, view.scene, &ray, *work).ok()?;
-                *shadowed = nearest.surface.is_some();
-            }
-            if !*shadowed && let Some(ray) = surfaces.place.ray(point, to_light) {
-                *shadowed = surfaces.first_root(&ray, 1.0, &mut memo, *work).ok()?.is_some();
+impl<M: SceneMemory, C: Count> ByRays<'_, M, C> {
+    /// Adds them to others.
+    fn add_to(self, mut in_shadow: [bool; POINTS_MAX]) -> Option<[bool; POINTS_MAX]> {
+        let mut memo = TileMemo::new();
+        for (index, in_shadow) in in_shadow.iter_mut().take(self.points.count).enumerate() {
+            let point = self.points.get(index);
+            if !*in_shadow && let Some(ray) = self.surfaces.place.ray(point, self.light - point) {
+                *in_shadow = self.surfaces.first_root(&ray, 1.0, &mut memo, self.work).ok()?.is_some();
             }
         }
-        Some(shadowed)
+        Some(in_shadow)
     }
 }

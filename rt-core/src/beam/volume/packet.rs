@@ -119,12 +119,7 @@ impl<S: Simd> Packet<S> {
 
     /// Where open rays are in a box between near and far planes.
     #[inline(always)]
-    pub(super) fn stretch(
-        &self,
-        s: S,
-        [near, far]: &[[S::D; 3]; 2],
-        limit: &Limit<S::D>,
-    ) -> Stretch<S::D> {
+    pub(super) fn stretch(&self, s: S, [near, far]: &[[S::D; 3]; 2], limit: &Limit<S::D>) -> Stretch<S::D> {
         let near = each!(3: [0, 1, 2], axis => self.planes(s, axis, near[axis]));
         let far = each!(3: [0, 1, 2], axis => self.planes(s, axis, far[axis]));
         let enter = s.max_f64(s.max_f64(near[0], near[1]), s.max_f64(near[2], s.splat_f64(0.0)));
@@ -141,12 +136,7 @@ impl<'a, S: Simd> Packets<'a, S> {
 
     /// A packet; `None` when one of its rays is not for beams.
     #[inline(always)]
-    pub(super) fn get<T: Targets<S>>(
-        &mut self,
-        s: S,
-        targets: &T,
-        number: usize,
-    ) -> Option<&Packet<S>> {
+    pub(super) fn get<T: Targets<S>>(&mut self, s: S, targets: &T, number: usize) -> Option<&Packet<S>> {
         let number = number % PACKETS;
         if self.made >> number & 1 == 0 {
             let open = targets.limit(s, number).open;

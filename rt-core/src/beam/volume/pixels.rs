@@ -67,8 +67,7 @@ impl<'a, S: Simd, M: SceneMemory> Pixels<'a, S, M> {
         found: &'a mut [Found<S::D, S::F>; BLOCKS],
         t_max: &[S::F; BLOCKS],
     ) -> Self {
-        let mut pixels =
-            Self { view, tile, found, end: [s.splat_f64(0.0); BLOCKS], waiting: [0.0; BLOCKS] };
+        let mut pixels = Self { view, tile, found, end: [s.splat_f64(0.0); BLOCKS], waiting: [0.0; BLOCKS] };
         for (block, &t_max) in t_max.iter().enumerate() {
             pixels.end[block] = s.widen(t_max);
             pixels.waiting[block] = of_no_matter(s, present(tile, block), t_max);
@@ -80,7 +79,7 @@ impl<'a, S: Simd, M: SceneMemory> Pixels<'a, S, M> {
 /// The inverse depth below which nothing matters to pixels that look no deeper than `t`; infinite for none.
 #[inline(always)]
 fn of_no_matter<S: Simd>(s: S, lanes: Mask, t: S::F) -> f32 {
-    let farthest = -s.least(s.sub(s.splat(0.0), s.select(lanes, t, s.splat(0.0))));
+    let farthest = s.least(s.sub(s.splat(0.0), s.select(lanes, t, s.splat(0.0)))).abs();
     (1.0 - 1.0 / 1_048_576.0) / farthest
 }
 

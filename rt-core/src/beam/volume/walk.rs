@@ -15,6 +15,7 @@ use crate::memory::SceneMemory;
 use crate::simd::{LANES, Mask, Simd, each};
 use crate::volume::{BRICK_CELLS, RANGE_LEVELS_MAX};
 use crate::volume_memo::Children;
+use crate::volume_ray::VolumePlace;
 
 /// Leads every brick to the targets that one of them may see a surface in. `None` when the image lies, a page cannot be
 /// had, or a ray is not for beams.
@@ -79,7 +80,8 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
             visit.left &= visit.left - 1;
             let (edge, below) = (edge_of(levels - 1 - depth), levels - 2 - depth);
             let corner = child_corner(visit.corner, child, edge);
-            let bounds = self.bounds(&CellBox { low: corner, high: corner.map(|low| low.wrapping_add(edge)) });
+            let bounds =
+                self.bounds(&CellBox { low: corner, high: corner.map(|low| low.wrapping_add(edge)) });
             if self.targets.interest(self.s, &bounds) != 0 {
                 above[depth] = visit;
                 depth += 1;
@@ -141,7 +143,11 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
         let around = self.bounds(&self.brick.around);
         let wanted = wanted & self.targets.interest(self.s, &around);
         let Self { s, surfaces, targets, count, brick, packets, .. } = self;
-        s.apart(Cross { packets, wanted, look: Look { surfaces: *surfaces, targets: *targets, count: *count, brick: *brick } })
+        s.apart(Cross {
+            packets,
+            wanted,
+            look: Look { surfaces: *surfaces, targets: *targets, count: *count, brick: *brick },
+        })
     }
 
     /// Whether any of the packets enters a box of cells.
@@ -177,26 +183,46 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
     /// Where a box of cells shows.
     #[inline(always)]
     fn bounds(&self, cells: &CellBox) -> Bounds {
-        let (centre, half) = self.in_space(cells);
-        let s = self.s;
-        let boxes = self.projection.boxes(s, each!(3: centre, x => s.splat(x)), each!(3: half, x => s.splat(x)));
-        boxes.by_lane(s).of(0)
+        box_of(self.s, self.surfaces, self.projection, cells).by_lane(self.s).of(0)
     }
 
-    /// Middle of a box of cells, from the eye, and half its edges; in grid units.
     #[inline(always)]
     fn in_space(&self, cells: &CellBox) -> ([f32; 3], [f32; 3]) {
-        let (mut centre, mut half) = ([0.0; 3], [0.0; 3]);
-        let place = &self.surfaces.place;
-        for axis in 0..3 {
-            let per_cell = 0.5 / place.per_length[axis];
-            let (low, high) = (f64::from(cells.low[axis]), f64::from(cells.high[axis]));
-            let from_eye = place.origin[axis] - f64::from(self.projection.eye[axis]);
-            centre[axis] = (from_eye + (low + high) * per_cell) as f32;
-            half[axis] = ((high - low) * per_cell) as f32;
-        }
-        (centre, half)
+        in_space(&self.surfaces.place, self.projection, cells)
     }
+}
+
+/// Whether any of the volume may show.
+#[inline(always)]
+pub(super) fn shows<S: Simd, M>(s: S, surfaces: &Isosurfaces<'_, M>, projection: &Projection) -> bool {
+    let all = CellBox { low: [0; 3], high: surfaces.volume.cells() };
+    projection.shows(s, &box_of(s, surfaces, projection, &all), 0.0) != 0
+}
+
+/// Where a box of cells shows, the same in all lanes.
+#[inline(always)]
+fn box_of<S: Simd, M>(
+    s: S,
+    surfaces: &Isosurfaces<'_, M>,
+    projection: &Projection,
+    cells: &CellBox,
+) -> Boxes<S::F> {
+    let (centre, half) = in_space(&surfaces.place, projection, cells);
+    projection.boxes(s, each!(3: centre, x => s.splat(x)), each!(3: half, x => s.splat(x)))
+}
+
+/// Middle of a box of cells, from the eye, and half its edges; in grid units.
+#[inline(always)]
+fn in_space(place: &VolumePlace, projection: &Projection, cells: &CellBox) -> ([f32; 3], [f32; 3]) {
+    let (mut centre, mut half) = ([0.0; 3], [0.0; 3]);
+    for axis in 0..3 {
+        let half_cell = 0.5 / place.per_length[axis];
+        let (low, high) = (f64::from(cells.low[axis]), f64::from(cells.high[axis]));
+        let from_eye = place.origin[axis] - f64::from(projection.eye[axis]);
+        centre[axis] = (from_eye + (low + high) * half_cell) as f32;
+        half[axis] = ((high - low) * half_cell) as f32;
+    }
+    (centre, half)
 }
 
 /// Cells along an edge of the children of a branch with that many levels of branches under it.
