@@ -1,4 +1,4 @@
-//! `memsavvy render`, `prepare`, `info`, `trace`: flags, help, errors.
+//! `memsavvy render`, `prepare`, `info`, `session`, `trace`: flags, help, errors.
 
 use core::num::NonZeroU16;
 use core::time::Duration;
@@ -24,8 +24,9 @@ use crate::output::{Destination, check_folder_of, write_whole};
 use crate::report::{RunReport, counted, thousands};
 use crate::run::{HIDDEN_PER_CENT, Kill, Options, Source, Surface, run};
 use crate::scene_source::{PAGE_BYTES_DEFAULT, Written};
+use crate::session::{Moment, Path, Replay, Session, Sweep, Way};
 use crate::size::{Bytes, Memory, PictureSize};
-use crate::trace::{self, Session, Trace};
+use crate::trace::{self, Trace};
 
 /// Renders scenes larger than one machine's memory.
 ///
@@ -51,6 +52,7 @@ enum Command {
     Render(Box<Render>),
     Prepare(Prepare),
     Info(ShowInfo),
+    Session(MakeSession),
     Trace(RecordTrace),
 }
 
@@ -63,6 +65,7 @@ Examples:
   memsavvy render scan.nrrd --iso 80.5 -o scan.png
   memsavvy render gyroid:256 --iso 0,0.5@0.3 --radius 0.75 -o gyroid.png
   memsavvy render dragon.msv -o orbit-%03d.png --frames 36 --radius 0.75
+  memsavvy render dragon.msv -o walk-%03d.png --session walk.jsonl
   memsavvy render dragon.msv --nodes 2 --stores 2 --memory 16% --report run.json
   memsavvy render dragon.msv --nodes 4 --memory 5M --page 4K --backend segv --policy fifo")]
 struct Render {
@@ -75,6 +78,9 @@ struct Render {
     cluster: Cluster,
     #[command(flatten)]
     view: View,
+    /// Which moments of the session are drawn: frames, every one, as fast as can be; or time, those whose time has come
+    #[arg(long, value_name = "HOW", value_enum, default_value_t = Replay::Frames, help_heading = "View")]
+    replay: Replay,
 }
 
 /// Where results go.
@@ -161,22 +167,74 @@ struct View {
     /// Picture size in pixels
     #[arg(long, value_name = "WxH", default_value = "512x512")]
     size: PictureSize,
-    /// Frames; more than one make an orbit
-    #[arg(long, value_name = "F", default_value_t = 1)]
-    frames: u32,
-    /// Distance of the eye from the middle of the scene, in diagonals of the scene
-    #[arg(long, value_name = "R", default_value_t = 1.5)]
-    radius: f32,
-    /// Height of the eye, in degrees above the horizon
-    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
-    elevation: f64,
-    /// Isosurfaces of a volume: values, or auto for one that the histogram suggests; with a grey from 0 to 1 as in
-    /// 80.5@0.4 [default: auto]
+    /// Replay this session, one made by `memsavvy session` or recorded
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["path", "frames", "circle", "radius", "elevation"])]
+    session: Option<PathBuf>,
+    /// The way that the eye goes where there is no session; see `memsavvy session --help`
+    #[arg(long, value_name = "WAY", value_enum, default_value_t = Way::Orbit)]
+    path: Way,
+    #[command(flatten)]
+    eye: Eye,
+    /// Isosurfaces of a volume, where the session has none: values, or auto for one that the histogram suggests; with a
+    /// grey from 0 to 1 as in 80.5@0.4 [default: auto]
     #[arg(long, value_name = "VALUE[@GREY],...", value_delimiter = ',', allow_negative_numbers = true)]
     iso: Vec<Surface>,
     /// How isosurfaces are found in a voxel cell: marmitt+newton, marmitt, neubauer, linear or bisect
     #[arg(long, value_name = "NAME", default_value_t = Solver::default())]
     solver: Solver,
+}
+
+/// Where the eye is, frame by frame.
+#[derive(Debug, Args)]
+struct Eye {
+    /// Frames; more than one make an orbit, or the way that was asked for
+    #[arg(long, value_name = "F", default_value_t = 1)]
+    frames: u32,
+    /// Frames that a full circle would take: how fast the eye moves [default: as many as there are frames]
+    #[arg(long, value_name = "F", value_parser = clap::value_parser!(u32).range(1..))]
+    circle: Option<u32>,
+    /// Distance of the eye from the middle of the scene, in diagonals of the scene
+    #[arg(long, value_name = "R", default_value_t = 1.5)]
+    radius: f64,
+    /// Height of the eye, in degrees above the horizon
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
+    elevation: f64,
+}
+
+/// Makes a session: where the eye and the light are and which isosurface is shown, moment by moment
+///
+/// A session fits any scene: its points are offsets from the scene's centre in diagonals of the scene. With frame i of F,
+/// radius R, elevation e and a = 360 i / CIRCLE degrees, the eye is at R (sin a cos e, sin e, cos a cos e) and looks at
+/// the centre. A walk has radius R (1 - 2/3 i/F); a jump goes to the other side in the middle of the session; a still
+/// view has a = 0; a volume is seen from 0.3 R in the second half. Moment i is at i / RATE seconds.
+///
+/// The file is a line of JSON for each moment, to be written by other programs too. The documentation of the crate's module
+/// `session` has the format.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  memsavvy session orbit -o orbit.jsonl --frames 90 --circle 180 --radius 0.75
+  memsavvy session walk -o walk.jsonl --frames 60 --elevation 20
+  memsavvy session volume -o scan.jsonl --frames 200 --iso 40..120
+  memsavvy render dragon.msv --session walk.jsonl --replay time --report run.json")]
+struct MakeSession {
+    /// The way that the eye goes
+    #[arg(value_enum)]
+    way: Way,
+    /// The session to write
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    eye: Eye,
+    /// Frames a second, for replays by time
+    #[arg(long, value_name = "RATE", default_value_t = 25.0)]
+    rate: f64,
+    /// The isovalue: of the first frame, and of the middle one and all after it; or one for all
+    #[arg(long, value_name = "FROM..TO", allow_hyphen_values = true)]
+    iso: Option<Sweep>,
+    /// Print nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
 }
 
 /// Prepares a mesh, a volume or a built-in scene: writes a scene image
@@ -213,14 +271,14 @@ struct Prepare {
     quiet: bool,
 }
 
-/// Shows what is in a scene image or a page trace
+/// Shows what is in a scene image, a session or a page trace
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   memsavvy info dragon.msv
   memsavvy info dragon.trace")]
 struct ShowInfo {
-    /// A scene image made by `memsavvy prepare`, or a trace made by `memsavvy trace`
+    /// A scene image made by `memsavvy prepare`, a session made by `memsavvy session`, or a trace made by `memsavvy trace`
     file: PathBuf,
 }
 
@@ -233,11 +291,11 @@ struct ShowInfo {
 Examples:
   memsavvy trace dragon.ply -o dragon.trace
   memsavvy trace dragon.msv -o walk.trace --path walk --frames 24 --circle 180 --radius 0.75
+  memsavvy trace scan.msv -o scan.trace --session scan.jsonl
   memsavvy trace knot:600000 -o knot.trace --nodes 4 --page 4K
   memsavvy info knot.trace")]
 struct RecordTrace {
-    /// A mesh (PLY, OBJ), a scene image made by `memsavvy prepare`, or a built-in scene: knot:TRIANGLES or
-    /// sphereflake:DEPTH
+    /// What `memsavvy render` takes
     scene: PathBuf,
     /// The trace to write
     #[arg(short, long, value_name = "FILE")]
@@ -251,12 +309,6 @@ struct RecordTrace {
     /// How tiles are drawn, as for `render`; beams read other records than rays do
     #[arg(long, value_name = "NAME", default_value = "auto", value_parser = kernel)]
     kernel: ChosenKernel,
-    /// The way that the eye goes: around the scene, or around it and closer to a third of the distance
-    #[arg(long, value_name = "WAY", value_enum, default_value_t = trace::Path::Orbit)]
-    path: trace::Path,
-    /// Frames that a full circle would take: how fast the eye moves [default: as many as there are frames]
-    #[arg(long, value_name = "F", value_parser = clap::value_parser!(u32).range(1..))]
-    circle: Option<u32>,
     #[command(flatten)]
     view: View,
     /// Print nothing but errors
@@ -302,6 +354,7 @@ impl CommandLine {
             Some(Command::Render(render)) => render.run(command),
             Some(Command::Prepare(prepare)) => prepare.run(),
             Some(Command::Info(info)) => info.run(),
+            Some(Command::Session(session)) => session.run(),
             Some(Command::Trace(trace)) => trace.run(),
         }
     }
@@ -309,14 +362,16 @@ impl CommandLine {
 
 /// The main job: the built-in scene on four nodes, each allowed 40 % of it.
 fn render_built_in(command: Vec<String>) -> Result<()> {
-    let options = Options { memory: Some(Memory::Share(0.4)), frames: 8, command, ..Options::default() };
+    let session = Path { frames: 8, radius: 1.05, ..Path::default() }.session()?;
+    let options = Options { memory: Some(Memory::Share(0.4)), session, command, ..Options::default() };
     let report = render(&options, Some("memsavvy.png"))?;
     print(&format!("{report}\nwrote memsavvy.png"))
 }
 
 impl Render {
     fn run(self, command: Vec<String>) -> Result<()> {
-        let Self { scene, output, cluster, view } = self;
+        let Self { scene, output, cluster, view, replay } = self;
+        let session = view.session()?;
         let options = Options {
             source: Source::named(&scene)?,
             nodes: cluster.nodes,
@@ -333,9 +388,8 @@ impl Render {
             kernel: cluster.kernel.0,
             transport: cluster.transport,
             size: view.size,
-            frames: view.frames,
-            radius: view.radius,
-            elevation: view.elevation,
+            session,
+            replay,
             isosurfaces: view.iso,
             solver: view.solver,
             deadline: cluster.deadline,
@@ -361,14 +415,43 @@ impl Render {
 /// Runs and writes the pictures.
 fn render(options: &Options, output: Option<&str>) -> Result<RunReport> {
     let destination = output.map(Destination::parse).transpose()?;
-    let last = destination
-        .as_ref()
-        .and_then(|destination| destination.path(options.frames.saturating_sub(1), options.frames));
+    let moments = options.session.count();
+    let last = destination.as_ref().and_then(|destination| destination.path(moments - 1, moments));
     last.map_or(Ok(()), |path| check_folder_of(&path))?;
-    run(options, |frame, picture| {
-        let path = destination.as_ref().and_then(|destination| destination.path(frame, options.frames));
+    run(options, |moment, picture| {
+        let path = destination.as_ref().and_then(|destination| destination.path(moment, moments));
         path.map_or(Ok(()), |path| picture.write(&path))
     })
+}
+
+impl View {
+    /// The session that was asked for.
+    fn session(&self) -> Result<Session> {
+        match &self.session {
+            Some(file) => Session::read(file),
+            None => self.eye.path(self.path).session(),
+        }
+    }
+}
+
+impl Eye {
+    fn path(&self, way: Way) -> Path {
+        let Self { frames, circle, radius, elevation } = *self;
+        Path { way, frames, circle, radius, elevation, ..Path::default() }
+    }
+}
+
+impl MakeSession {
+    fn run(self) -> Result<()> {
+        check_folder_of(&self.output)?;
+        let path = Path { rate: self.rate, isovalues: self.iso, ..self.eye.path(self.way) };
+        let session = path.session()?;
+        write_whole(&self.output, |file| Ok(session.write(file)?))?;
+        if self.quiet {
+            return Ok(());
+        }
+        print(&format!("{}\nwrote {}", describe_session(&session), self.output.display()))
+    }
 }
 
 impl Prepare {
@@ -418,9 +501,12 @@ impl ShowInfo {
             let trace = Trace::read(&self.file).with_context(|| format!("cannot use {name}"))?;
             return print(&describe_trace(&trace));
         }
+        if Session::is_one(&self.file).with_context(|| format!("cannot read {name}"))? {
+            return print(&describe_session(&Session::read(&self.file)?));
+        }
         if !SceneFile::is_one(&self.file).with_context(|| format!("cannot read {name}"))? {
             bail!(
-                "{name} is no scene image and no trace; make an image with `memsavvy prepare {name} -o scene.msv`"
+                "{name} is no scene image, no session and no trace; make an image with `memsavvy prepare {name} -o scene.msv`"
             );
         }
         let mut file = SceneFile::open(&self.file).with_context(|| format!("cannot use {name}"))?;
@@ -433,26 +519,43 @@ impl RecordTrace {
     fn run(self) -> Result<()> {
         check_folder_of(&self.output)?;
         let view = self.view;
-        let session = Session {
+        let options = trace::Options {
             source: Source::named(&self.scene)?,
             page_bytes: self.page,
             nodes: self.nodes,
             kernel: self.kernel.0,
+            session: view.session()?,
             size: view.size,
-            path: self.path,
-            frames: view.frames,
-            circle: self.circle.unwrap_or(view.frames),
-            radius: view.radius,
-            elevation: view.elevation,
+            isosurfaces: view.iso,
+            solver: view.solver,
             quiet: self.quiet,
         };
-        let trace = trace::record(&session)?;
+        let trace = trace::record(&options)?;
         write_whole(&self.output, |file| Ok(trace.write(file)?))?;
         if self.quiet {
             return Ok(());
         }
         print(&format!("{}\nwrote {}", describe_trace(&trace), self.output.display()))
     }
+}
+
+/// What is in a session, one fact a line.
+fn describe_session(session: &Session) -> String {
+    let moments = session.moments();
+    let times: Vec<f64> = moments.iter().map(|moment| moment.time).collect();
+    let span = times[times.len() - 1] - times[0];
+    let shown = |moment: &Moment| match &moment.isosurfaces {
+        Some(surfaces) => surfaces.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "),
+        None => "as asked with --iso".to_owned(),
+    };
+    let [first, last] = [&moments[0], &moments[moments.len() - 1]];
+    let lines = [
+        ("moments", thousands(moments.len() as u64)),
+        ("seconds", format!("{span:.3}")),
+        ("eye", format!("{:.3?} to {:.3?} diagonals from the centre", first.aim.eye, last.aim.eye)),
+        ("isovalues", format!("{} to {}", shown(first), shown(last))),
+    ];
+    lines.iter().map(|(what, value)| format!("{what:>12}  {value}")).collect::<Vec<_>>().join("\n")
 }
 
 /// What is in a trace, one fact a line.

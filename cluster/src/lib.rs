@@ -4,7 +4,7 @@
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | [`command_line`] | `memsavvy render`, `prepare`, `info`, `trace`: flags, help, errors |
+//! | [`command_line`] | `memsavvy render`, `prepare`, `info`, `session`, `trace`: flags, help, errors |
 //! | [`size`] | `16K`, `40%`, `640x480`: how people write sizes |
 //! | [`plan`] | from what was asked for to what each process may hold; pure arithmetic |
 //! | [`run`] | a whole run: plan, start, frames, report |
@@ -14,6 +14,7 @@
 //! | `control`, `link` | what supervisor and nodes say to each other, and the socket it goes over |
 //! | `node`, `painter`, `noted`, `ports` | a process of the cluster: its pages, its render threads and what they use, its ways to the others |
 //! | `scene_source` | where the scene comes from: a mesh, a volume, an image, a built-in scene |
+//! | [`session`] | what is looked at, moment by moment: made, read, written, replayed |
 //! | `isovalue` | which isosurfaces of a volume are shown |
 //! | [`trace`] | the pages that a session touches, recorded to compare replacement policies |
 //! | [`report`] | what a run prints and writes |
@@ -26,7 +27,7 @@
 //! 2. It starts a process for each node and store, each with a socket as its standard input, and sends each the plan
 //!    and the files: the image to read its own stripes from, its peers' pages to read the others'.
 //! 3. Each process fills its home pages; when all have, the supervisor lets the image go. Nobody holds it whole.
-//! 4. Frame by frame: the camera goes out, every node draws the tiles that are its own, finished tiles come back.
+//! 4. Frame by frame: camera, light and isovalues go out, every node draws the tiles that are its own, finished tiles come back.
 //! 5. The nodes report and end.
 //!
 //! Nothing of this has a name outside the processes: memory files and sockets vanish with the last of them, however
@@ -50,6 +51,7 @@ mod progress;
 pub mod report;
 pub mod run;
 mod scene_source;
+pub mod session;
 pub mod size;
 mod supervisor;
 pub mod trace;

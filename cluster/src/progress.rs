@@ -54,8 +54,9 @@ impl FrameBar {
         Self { bar }
     }
 
-    pub(crate) fn advance(&self) {
-        self.bar.inc(1);
+    /// So many moments of the session are over.
+    pub(crate) fn set(&self, moments: u32) {
+        self.bar.set_position(moments.into());
     }
 }
 

@@ -14,6 +14,12 @@ pub struct RunReport {
     pub command: Vec<String>,
     /// The scene.
     pub scene: SceneReport,
+    /// What was looked at: how the session was made, or the file it came from.
+    #[serde(default)]
+    pub session: String,
+    /// Which of its moments were drawn: `frames` for all, `time` for those whose time had come.
+    #[serde(default)]
+    pub replay: String,
     /// The picture's width and height in pixels.
     pub size: [u32; 2],
     /// How pages travel: `shm` or `shm-ring`.
@@ -53,7 +59,7 @@ pub struct SceneReport {
     /// Samples of its volume along each axis, if it has one.
     #[serde(default)]
     pub volume: Option<[u32; 3]>,
-    /// Values of the isosurfaces shown.
+    /// Values of the isosurfaces shown in the first frame.
     #[serde(default)]
     pub isovalues: Vec<f32>,
     /// What was not taken as it stands in a volume's file.
@@ -66,6 +72,15 @@ pub struct SceneReport {
 pub struct FrameReport {
     /// Its number.
     pub frame: u32,
+    /// The moment of the session that it shows, counted from 0.
+    #[serde(default)]
+    pub moment: u32,
+    /// That moment's time in seconds, as the session has it.
+    #[serde(default)]
+    pub time: f64,
+    /// Values of the isosurfaces shown.
+    #[serde(default)]
+    pub isovalues: Vec<f32>,
     /// From sending the camera until the last tile was in place, in milliseconds.
     pub ms: f64,
     /// Hash of its pixels: XXH3, 64 bits, in hexadecimal.
@@ -211,12 +226,13 @@ impl Display for RunReport {
             thousands(scene.pages.into()),
             Bytes(scene.page_bytes.into()),
         )?;
-        if !scene.isovalues.is_empty() {
-            writeln!(
-                f,
-                "isovalues {}",
-                scene.isovalues.iter().map(f32::to_string).collect::<Vec<_>>().join(", ")
-            )?;
+        if let Some(last) = self.frames.last().filter(|last| !last.isovalues.is_empty()) {
+            let isovalues = |values: &[f32]| values.iter().map(f32::to_string).collect::<Vec<_>>().join(", ");
+            write!(f, "isovalues {}", isovalues(&scene.isovalues))?;
+            if last.isovalues != scene.isovalues {
+                write!(f, "; in the last frame {}", isovalues(&last.isovalues))?;
+            }
+            writeln!(f)?;
         }
         scene.notes.iter().try_for_each(|note| writeln!(f, "note: {note}"))?;
         writeln!(f)?;
@@ -356,6 +372,9 @@ mod tests {
     fn totals_add_up() {
         let frame = FrameReport {
             frame: 0,
+            moment: 0,
+            time: 0.0,
+            isovalues: Vec::new(),
             ms: 500.0,
             image_hash: String::new(),
             primary_rays: 600_000,

@@ -3,14 +3,13 @@
 use core::num::NonZeroU16;
 use core::time::Duration;
 use std::os::fd::OwnedFd;
-use std::thread::available_parallelism;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::thread::{self, available_parallelism};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, bail};
 use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use fault_linux::BackendKind;
-use rt_core::camera::OrbitPlace;
-use rt_core::{Frame, Header, Isosurface, Kernel, Orbit, Solver};
+use rt_core::{Frame, Header, HeaderError, Isosurface, Kernel, SceneNeeds, Solver};
 use scene::builtin::BuiltIn;
 use transport_shm::{Inbox, Layout, PageFile};
 
@@ -21,11 +20,12 @@ pub use crate::picture::Picture;
 pub use crate::scene_source::{Source, VolumeInput};
 
 use crate::control::{Files, SetUp};
-use crate::isovalue;
+use crate::isovalue::Shown;
 use crate::plan::{Demand, Plan};
 use crate::progress::FrameBar;
 use crate::report::{FrameReport, RunReport, SceneReport, Totals};
 use crate::scene_source::Image;
+use crate::session::{Replay, Session, Step};
 use crate::size::{Memory, PictureSize};
 use crate::supervisor::{Drawing, Supervisor};
 
@@ -62,13 +62,11 @@ pub struct Options {
     pub transport: TransportKind,
     /// The picture's size.
     pub size: PictureSize,
-    /// Frames of the orbit.
-    pub frames: u32,
-    /// Distance of the eye from the middle, in diagonals of the scene.
-    pub radius: f32,
-    /// Height of the eye, in degrees above the horizon.
-    pub elevation: f64,
-    /// Isosurfaces of a volume; none: one, at [`Isovalue::Auto`].
+    /// What is looked at, moment by moment.
+    pub session: Session,
+    /// Which of its moments are drawn.
+    pub replay: Replay,
+    /// Isosurfaces of a volume, where the session does not say; none: one, at [`Isovalue::Auto`].
     pub isosurfaces: Vec<Surface>,
     /// How their roots are found.
     pub solver: Solver,
@@ -89,7 +87,7 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// The main job: the built-in scene, four nodes, eight frames.
+    /// The built-in scene on four nodes, one frame.
     fn default() -> Self {
         Self {
             source: Source::BuiltIn(BuiltIn::Knot { triangles: 600_000 }),
@@ -107,9 +105,8 @@ impl Default for Options {
             kernel: None,
             transport: TransportKind::Shm,
             size: PictureSize { width: 512, height: 512 },
-            frames: 1,
-            radius: 1.05,
-            elevation: 0.0,
+            session: Session::default(),
+            replay: Replay::Frames,
             isosurfaces: Vec::new(),
             solver: Solver::default(),
             deadline: Duration::from_secs(5),
@@ -123,7 +120,7 @@ impl Default for Options {
     }
 }
 
-/// Renders all frames and hands each over as soon as it is whole.
+/// Replays the session and hands over each picture as soon as it is whole, with the number of its moment.
 ///
 /// The calling program must begin with [`run_as_node_if_asked`](crate::run_as_node_if_asked).
 ///
@@ -133,11 +130,14 @@ impl Default for Options {
 pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<()>) -> Result<RunReport> {
     options.check()?;
     let image = options.source.open(options.page_bytes, options.quiet)?;
+    check_built(&image)?;
     let image = if options.is_replicated() { image.freeze()? } else { image };
     let run = Run::plan(options, &image)?;
     let (name, header) = (image.name.clone(), image.header);
-    let isosurfaces = isovalue::resolve(&options.isosurfaces, &options.source, &image)?;
-    let notes = image.notes.iter().map(ToString::to_string).collect();
+    let Options { session, size, solver, .. } = options;
+    let shown = Shown::new(&options.isosurfaces, session, &options.source, &image)?;
+    let moments = session.frames(&header.view, *size, *solver, |asked| shown.of_moment(asked))?;
+    let notes = image.notes.iter().map(ToString::to_string).chain(left_out_of_frames()).collect();
     let files = run.files(image)?;
     let mut supervisor =
         Supervisor::start(&run.set_ups(options), &files, options.deadline, options.kills.clone())?;
@@ -145,21 +145,14 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<
     // Each process has its own part now; nobody holds the whole.
     drop(files);
 
-    let orbit = Orbit::around(&header.view);
-    let mut frames = Vec::new();
-    let bar = FrameBar::new(options.quiet, options.frames);
-    for number in 0..options.frames {
-        let drawing = supervisor.draw(options.frame(&orbit, number, &isosurfaces)?)?;
-        on_frame(number, &drawing.picture)?;
-        frames.push(drawing.report());
-        bar.advance();
-    }
-    drop(bar);
+    let frames = replay(options, &moments, &mut supervisor, &mut on_frame)?;
     let (nodes, losses) = supervisor.finish()?;
     Ok(RunReport {
         command: options.command.clone(),
-        scene: run.scene_report(name, &header, &isosurfaces, notes),
-        size: [options.size.width, options.size.height],
+        scene: run.scene_report(name, &header, moments[0].isosurfaces(), notes),
+        session: session.name().to_owned(),
+        replay: options.replay.name().to_owned(),
+        size: [size.width, size.height],
         transport: serde_json::to_value(options.transport)?.as_str().unwrap_or_default().to_owned(),
         totals: Totals::of(&frames, &nodes),
         frames,
@@ -167,6 +160,44 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<
         replicas: options.replicas,
         losses,
     })
+}
+
+/// Refuses what a build without some kernels cannot draw, before anybody is started.
+fn check_built(image: &Image) -> Result<()> {
+    match image.header.needs.without(SceneNeeds::BUILT) {
+        SceneNeeds::NONE => Ok(()),
+        missing => Err(HeaderError::LeftOut(missing)).with_context(|| format!("cannot draw {}", image.name)),
+    }
+}
+
+/// What pictures lack because this build lacks it.
+fn left_out_of_frames() -> Option<String> {
+    let without = "no shadows: they were left out of this build; enable the feature shadows";
+    (!cfg!(feature = "shadows")).then(|| without.to_owned())
+}
+
+/// Draws moments of the session until it is over.
+fn replay(
+    options: &Options,
+    moments: &[Frame],
+    supervisor: &mut Supervisor,
+    on_frame: &mut impl FnMut(u32, &Picture) -> Result<()>,
+) -> Result<Vec<FrameReport>> {
+    let bar = FrameBar::new(options.quiet, options.session.count());
+    let (start, mut frames, mut drawn) = (Instant::now(), Vec::new(), None);
+    while let Some(Step { moment, wait }) = options.replay.next(&options.session, drawn, start.elapsed()) {
+        thread::sleep(wait);
+        // Nodes count frames, not moments: no number is left out.
+        let frame = Frame { number: u32::try_from(frames.len())?, ..moments[moment] };
+        let drawing = supervisor.draw(frame)?;
+        let number = u32::try_from(moment)?;
+        on_frame(number, &drawing.picture)?;
+        let time = options.session.moments()[moment].time;
+        frames.push(drawing.report(number, time, frame.isosurfaces()));
+        bar.set(number + 1);
+        drawn = Some(moment);
+    }
+    Ok(frames)
 }
 
 /// The arithmetic of a run, done.
@@ -285,15 +316,6 @@ impl Run {
 
 impl Options {
     fn check(&self) -> Result<()> {
-        if self.frames == 0 {
-            bail!("--frames 0 renders nothing");
-        }
-        if !self.radius.is_finite() || self.radius <= 0.0 {
-            bail!("--radius is a distance in diagonals of the scene, above 0; got {}", self.radius);
-        }
-        if !(-90.0..=90.0).contains(&self.elevation) {
-            bail!("--elevation is an angle from -90 to 90 degrees; got {}", self.elevation);
-        }
         if self.threads.is_some_and(|threads| threads.get() > THREADS_MAX) {
             bail!("a node has at most {THREADS_MAX} render threads");
         }
@@ -316,20 +338,16 @@ impl Options {
     fn is_replicated(&self) -> bool {
         self.backend == Some(BackendKind::Replicated)
     }
-
-    fn frame(&self, orbit: &Orbit, number: u32, isosurfaces: &[Isosurface]) -> Result<Frame> {
-        let Self { radius, elevation, frames, .. } = *self;
-        let place = OrbitPlace { radius, elevation, frame: number, frames };
-        let frame = Frame::on_orbit(orbit, &place, self.size.width, self.size.height)
-            .with_context(|| format!("no camera at --radius {} of this scene", self.radius))?;
-        Ok(frame.with_isosurfaces(isosurfaces, self.solver)?)
-    }
 }
 
 impl Drawing {
-    fn report(&self) -> FrameReport {
+    /// What is told of the frame, which showed a moment of this number and time and these isosurfaces.
+    fn report(&self, moment: u32, time: f64, isosurfaces: &[Isosurface]) -> FrameReport {
         FrameReport {
             frame: self.counts.frame,
+            moment,
+            time,
+            isovalues: isosurfaces.iter().map(|surface| surface.value).collect(),
             ms: self.ms,
             image_hash: self.picture.hash(),
             primary_rays: self.counts.primary_rays,

@@ -1,13 +1,16 @@
-//! Pinhole camera, and the orbit that all our pictures and measurements use.
+//! Pinhole camera; the orbit that our comparisons with other programs use; and cameras anywhere around a scene.
 //!
 //! The formulas and their order are those of our peer measurements, in `f32`, so that pictures and ray counts
 //! can be compared. With `c` and `D` the centre and diagonal of the mesh's bounds, frame `i` of `F`,
 //! elevation `e`, radius `R` in diagonals: `a = 2 pi i / F`, `eye = c + R D (sin a cos e, sin e, cos a cos
 //! e)`, `forward = normalize(c - eye)`, `right = normalize(forward x (0, 1, 0))`, `up = right x forward`,
 //! vertical field of view 45 degrees.
+//!
+//! An [`Aim`] may be anywhere: `eye = c + D p`, `forward = normalize(at - p)`, and `right` and `up` likewise from
+//! the aim's own up, in `f64`, rounded once.
 
 use bytemuck::{Pod, Zeroable};
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use crate::image::Bounds;
 use crate::scale::{Scale, exponent_of};
@@ -38,6 +41,23 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// A camera with a vertical field of view of 45 degrees, its axes forward, right and up.
+    fn new(eye: Vec3, [forward, right, up]: [Vec3; 3], width: u32, height: u32) -> Self {
+        let (columns, rows) = (width as f32, height as f32);
+        let half_height = single(libm::tan(22.5 * core::f64::consts::PI / 180.0));
+        let aspect = columns / rows;
+        Self {
+            eye,
+            forward,
+            right,
+            up,
+            x_first: (1.0 / columns - 1.0) * half_height * aspect,
+            x_step: 2.0 / columns * half_height * aspect,
+            y_first: (1.0 - 1.0 / rows) * half_height,
+            y_step: -2.0 / rows * half_height,
+        }
+    }
+
     /// Direction of the rays of row `y`, before the share of `right`.
     #[inline]
     pub fn row(&self, y: u32) -> Vec3 {
@@ -75,6 +95,18 @@ pub struct OrbitPlace {
     pub frames: u32,
 }
 
+/// Where an eye is and what it looks at, wherever and however large the scene: points are offsets from the centre of
+/// the scene's bounds, in diagonals of them. The axes are the scene's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aim {
+    /// The eye.
+    pub eye: [f64; 3],
+    /// The point in the middle of the picture; another one than the eye.
+    pub at: [f64; 3],
+    /// Roughly upwards in the picture: a direction that is not the line of sight.
+    pub up: [f64; 3],
+}
+
 impl Orbit {
     /// The orbit around these bounds.
     pub fn around(bounds: &Bounds) -> Self {
@@ -101,19 +133,29 @@ impl Orbit {
         // Straight above or below, the limit from the same side of the orbit.
         let right =
             if across == Vec3::ZERO { Vec3::new(single(cos), 0.0, single(-sin)) } else { normalize(across) };
-        let (columns, rows) = (width as f32, height as f32);
-        let half_height = single(libm::tan(22.5 * core::f64::consts::PI / 180.0));
-        let aspect = columns / rows;
-        Camera {
-            eye: self.world_from_local.apply_to(eye),
-            forward,
-            right,
-            up: cross(right, forward),
-            x_first: (1.0 / columns - 1.0) * half_height * aspect,
-            x_step: 2.0 / columns * half_height * aspect,
-            y_first: (1.0 - 1.0 / rows) * half_height,
-            y_step: -2.0 / rows * half_height,
-        }
+        Camera::new(
+            self.world_from_local.apply_to(eye),
+            [forward, right, cross(right, forward)],
+            width,
+            height,
+        )
+    }
+
+    /// The camera of an aim, for pictures of `width` by `height` pixels. Its numbers are NaN when the aim has no line of
+    /// sight, or one along its up.
+    pub fn aimed(&self, aim: &Aim, width: u32, height: u32) -> Camera {
+        let [eye, at, up] = [aim.eye, aim.at, aim.up].map(DVec3::from_array);
+        let forward = (at - eye).normalize();
+        let right = forward.cross(up).normalize();
+        let axes = [forward, right, right.cross(forward)].map(|axis| axis.to_array().map(single).into());
+        Camera::new(self.point(aim.eye), axes, width, height)
+    }
+
+    /// A point given as an offset from the centre in diagonals. World units.
+    pub fn point(&self, offset: [f64; 3]) -> Vec3 {
+        let local =
+            |axis: usize| single(f64::from(self.centre[axis]) + offset[axis] * f64::from(self.diagonal));
+        self.world_from_local.apply_to(Vec3::new(local(0), local(1), local(2)))
     }
 
     /// The point light: above and to the right of the first camera, without fall-off. World units.
@@ -189,6 +231,34 @@ mod tests {
     }
 
     #[test]
+    fn an_aim_at_the_centre_is_a_place_of_the_orbit() {
+        let orbit = Orbit::around(&BOUNDS);
+        for frame in 0..8 {
+            for degrees in [-60.0, 0.0, 35.0] {
+                let (turn, tilt) =
+                    (f64::from(frame) * 0.25 * core::f64::consts::PI, f64::to_radians(degrees));
+                let outwards = [turn.sin() * tilt.cos(), tilt.sin(), turn.cos() * tilt.cos()];
+                let aim = Aim { eye: outwards.map(|one| one * 1.5), at: [0.0; 3], up: [0.0, 1.0, 0.0] };
+                let (aimed, placed) =
+                    (orbit.aimed(&aim, 64, 48), orbit.camera(&place(degrees, frame), 64, 48));
+                let axes = |camera: &Camera| [camera.eye, camera.forward, camera.right, camera.up];
+                for (one, other) in axes(&aimed).into_iter().zip(axes(&placed)) {
+                    assert!((one - other).abs().max_element() < 4.0e-6, "{aimed:?} {placed:?}");
+                }
+                assert_eq!((aimed.x_first, aimed.y_step), (placed.x_first, placed.y_step));
+            }
+        }
+        assert_eq!(orbit.point([1.0, 2.0, 1.5]), orbit.light());
+    }
+
+    #[test]
+    fn an_aim_along_its_up_is_no_camera() {
+        let aim = Aim { eye: [0.0, 2.0, 0.0], at: [0.0; 3], up: [0.0, 1.0, 0.0] };
+        let camera = Orbit::around(&BOUNDS).aimed(&aim, 64, 48);
+        assert!(camera.right.is_nan() && !camera.forward.is_nan());
+    }
+
+    #[test]
     fn scaling_the_scene_scales_the_camera_exactly() {
         let small = Orbit::around(&BOUNDS);
         for exponent in [-98, -40, 60, 98] {
@@ -196,6 +266,9 @@ mod tests {
             let bounds = Bounds { low: scale.apply_to(BOUNDS.low), high: scale.apply_to(BOUNDS.high) };
             let large = Orbit::around(&bounds);
             let (a, b) = (small.camera(&place(20.0, 3), 40, 30), large.camera(&place(20.0, 3), 40, 30));
+            assert_eq!(b, Camera { eye: scale.apply_to(a.eye), ..a });
+            let aim = Aim { eye: [0.3, 0.7, -0.4], at: [0.1, 0.0, 0.0], up: [0.0, 1.0, 0.0] };
+            let (a, b) = (small.aimed(&aim, 40, 30), large.aimed(&aim, 40, 30));
             assert_eq!(b, Camera { eye: scale.apply_to(a.eye), ..a });
             assert_eq!(large.light(), scale.apply_to(small.light()));
         }

@@ -5,7 +5,7 @@ use core::fmt;
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
-use crate::camera::{Camera, Orbit, OrbitPlace};
+use crate::camera::{Aim, Camera, Orbit, OrbitPlace};
 use crate::cubic::Solver;
 #[cfg(doc)]
 use crate::shade::ALBEDO;
@@ -96,13 +96,38 @@ impl Frame {
     /// # Errors
     /// When the size is out of range, or the place is so extreme that numbers overflow.
     pub fn on_orbit(orbit: &Orbit, place: &OrbitPlace, width: u32, height: u32) -> Result<Self, FrameError> {
+        Self::seen(place.frame, orbit, orbit.camera(place, width, height), orbit.light(), [width, height])
+    }
+
+    /// A frame of an eye and a light anywhere around the scene that `orbit` is around, the light given as the points of
+    /// an [`Aim`] are; with shadows, unless this build has none.
+    ///
+    /// # Errors
+    /// When the size is out of range, or the aim is no camera or so extreme that numbers overflow.
+    pub fn aimed(
+        number: u32,
+        orbit: &Orbit,
+        aim: &Aim,
+        light: [f64; 3],
+        [width, height]: [u32; 2],
+    ) -> Result<Self, FrameError> {
+        Self::seen(number, orbit, orbit.aimed(aim, width, height), orbit.point(light), [width, height])
+    }
+
+    fn seen(
+        number: u32,
+        orbit: &Orbit,
+        camera: Camera,
+        light: Vec3,
+        [width, height]: [u32; 2],
+    ) -> Result<Self, FrameError> {
         let frame = Self {
-            number: place.frame,
+            number,
             width,
             height,
             flags: if cfg!(feature = "shadows") { 0 } else { Self::NO_SHADOWS },
-            camera: orbit.camera(place, width, height),
-            light: orbit.light(),
+            camera,
+            light,
             shadow_offset: orbit.shadow_offset(),
             solver: Solver::default() as u32,
             isosurface_count: 0,

@@ -123,7 +123,8 @@ fn impossible_flags_get_one_clear_line() {
 
 #[test]
 fn help_has_examples_everywhere() {
-    for arguments in [&["--help"][..], &["render", "--help"], &["prepare", "--help"], &["info", "--help"]] {
+    let commands = [&["--help"][..], &["render", "--help"], &["prepare", "--help"], &["info", "--help"]];
+    for arguments in commands.into_iter().chain([&["session", "--help"][..], &["trace", "--help"]]) {
         let help = run_well(arguments);
         assert!(help.contains("Examples:\n  memsavvy"), "{help}");
     }

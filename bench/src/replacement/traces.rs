@@ -4,8 +4,10 @@ use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
 use memsavvy::run::Source;
+use memsavvy::session::{Path, Way};
 use memsavvy::size::PictureSize;
-use memsavvy::trace::{Path, Session, Trace, record};
+use memsavvy::trace::{self, Trace, record};
+use rt_core::Solver;
 use scene::builtin::BuiltIn;
 
 use super::volume::Volume;
@@ -22,24 +24,24 @@ pub(crate) struct Named {
 /// What is traced of a scene.
 struct Plan {
     scene: &'static str,
-    path: Path,
+    way: Way,
     nodes: u16,
     page_bytes: u32,
 }
 
-const fn plan(scene: &'static str, path: Path, nodes: u16, page_bytes: u32) -> Plan {
-    Plan { scene, path, nodes, page_bytes }
+const fn plan(scene: &'static str, way: Way, nodes: u16, page_bytes: u32) -> Plan {
+    Plan { scene, way, nodes, page_bytes }
 }
 
 /// The bunny has 85 pages of 16 KB, of which 4 % are three: it is traced with small pages.
 const PLANS: [Plan; 7] = [
-    plan("knot", Path::Orbit, 1, 16 << 10),
-    plan("bunny", Path::Orbit, 1, 4 << 10),
-    plan("bunny", Path::Walk, 1, 4 << 10),
-    plan("dragon", Path::Orbit, 1, 16 << 10),
-    plan("dragon", Path::Walk, 1, 16 << 10),
-    plan("dragon", Path::Orbit, 4, 16 << 10),
-    plan("dragon", Path::Walk, 4, 16 << 10),
+    plan("knot", Way::Orbit, 1, 16 << 10),
+    plan("bunny", Way::Orbit, 1, 4 << 10),
+    plan("bunny", Way::Walk, 1, 4 << 10),
+    plan("dragon", Way::Orbit, 1, 16 << 10),
+    plan("dragon", Way::Walk, 1, 16 << 10),
+    plan("dragon", Way::Orbit, 4, 16 << 10),
+    plan("dragon", Way::Walk, 4, 16 << 10),
 ];
 
 /// Two degrees a frame.
@@ -50,25 +52,23 @@ pub(crate) fn traces(effort: Effort) -> Result<Vec<Named>> {
     let mut traces = Vec::new();
     for plan in PLANS {
         let Some(source) = plan.source(effort)? else { continue };
-        let Plan { scene, path, nodes, page_bytes } = plan;
-        let way = if path == Path::Orbit { "orbit" } else { "walk" };
+        let Plan { scene, way, nodes, page_bytes } = plan;
         let name =
             if nodes == 1 { format!("{scene} {way}") } else { format!("{scene} {way}, {nodes} nodes") };
         effort.say(&format!("tracing {name}"));
-        let session = Session {
+        let path = Path { way, frames, circle: Some(CIRCLE), radius: 0.75, ..Path::default() };
+        let options = trace::Options {
             source,
             page_bytes: Some(page_bytes),
             nodes,
             kernel: None,
             size: PictureSize { width: size, height: size },
-            path,
-            frames,
-            circle: CIRCLE,
-            radius: 0.75,
-            elevation: 0.0,
+            session: path.session()?,
+            isosurfaces: Vec::new(),
+            solver: Solver::default(),
             quiet: true,
         };
-        traces.push(Named { name, trace: through_a_file(&record(&session)?)? });
+        traces.push(Named { name, trace: through_a_file(&record(&options)?)? });
     }
     let volume = Volume { bricks: effort.pick(16, 8), frames, size };
     traces.push(Named { name: "volume scan".to_owned(), trace: volume.trace() });

@@ -11,6 +11,7 @@ use anyhow::{Result, ensure};
 use fault_linux::BackendKind;
 use memsavvy::report::RunReport;
 use memsavvy::run::{self, Options};
+use memsavvy::session::Path;
 use memsavvy::size::{Memory, PictureSize};
 
 use crate::experiment::{Effort, Experiment};
@@ -95,7 +96,7 @@ fn run(effort: Effort) -> Result<Findings> {
 /// Runs every shape once.
 fn round(scene: &Scene, amount: Amount, images: &mut Images) -> Result<Vec<RunReport>> {
     let run = |shape: Shape| {
-        let run = run::run(&shape.options(scene, amount), |_, _| Ok(()))?;
+        let run = run::run(&shape.options(scene, amount)?, |_, _| Ok(()))?;
         images.expect_same(&run)?;
         Ok(run)
     };
@@ -140,13 +141,15 @@ impl Holds {
 }
 
 impl Shape {
-    fn options(self, scene: &Scene, amount: Amount) -> Options {
+    fn options(self, scene: &Scene, amount: Amount) -> Result<Options> {
+        let path = Path { frames: amount.frames, radius: scene.radius.into(), ..Path::default() };
+        let session = path.session()?;
         let memory = match self.holds {
             Holds::Replica => None,
             Holds::All => Some(Memory::Share(1.0)),
             Holds::Sixteen => Some(Memory::Share(0.16)),
         };
-        Options {
+        Ok(Options {
             source: scene.source(),
             nodes: self.nodes,
             stores: u16::from(self.holds == Holds::Sixteen),
@@ -154,12 +157,11 @@ impl Shape {
             memory,
             backend: (self.holds == Holds::Replica).then_some(BackendKind::Replicated),
             size: PictureSize { width: amount.size, height: amount.size },
-            frames: amount.frames,
-            radius: scene.radius,
+            session,
             deadline: Duration::from_secs(30),
             quiet: true,
             ..Options::default()
-        }
+        })
     }
 }
 

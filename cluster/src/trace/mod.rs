@@ -2,14 +2,14 @@
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | `record` | drawing a path of cameras and writing down every page that is read |
+//! | `record` | drawing a session and writing down every page that is read |
 //! | `file` | the file: as written and as read |
 
 mod file;
 mod record;
 
 pub use file::TraceError;
-pub use record::{Path, Session, record};
+pub use record::{Options, record};
 
 use rt_core::TileId;
 

@@ -64,7 +64,10 @@ pub(super) struct Block {
 
 impl<'a, M: SceneMemory, K: Kinds> Pixels<'a, M, K> {
     pub(super) fn new(view: &'a TileView<'_, M>, tile: Tile, depth_epsilon: f32) -> Self {
-        let present: [Mask; BLOCKS] = core::array::from_fn(|block| present(tile, block));
+        let mut present = [Mask::MAX; BLOCKS];
+        if tile.pixels() < BLOCKS * LANES {
+            present.iter_mut().enumerate().for_each(|(block, present)| *present = present_in(tile, block));
+        }
         let waiting = present.map(|present| if present == 0 { f32::INFINITY } else { 0.0 });
         Self {
             scene: view.scene,
@@ -86,9 +89,12 @@ impl<'a, M: SceneMemory, K: Kinds> Pixels<'a, M, K> {
         }
     }
 
-    /// That all went well.
-    pub(super) fn check(&self) -> Result<(), Damaged> {
-        self.damaged.map_or(Ok(()), Err)
+    /// Whether any pixel hits anything.
+    ///
+    /// # Errors
+    /// What went wrong on the way.
+    pub(super) fn found_anything(&self) -> Result<bool, Damaged> {
+        self.damaged.map_or_else(|| Ok(self.hit.iter().any(|&hit| hit != 0)), Err)
     }
 
     /// The pixels of a block that show a sphere.
@@ -407,7 +413,7 @@ pub(super) const ROWS: [f32; LANES] =
 
 /// The pixels of a block that a tile has.
 #[inline(always)]
-pub(super) const fn present(tile: Tile, block: usize) -> Mask {
+pub(super) const fn present_in(tile: Tile, block: usize) -> Mask {
     let (x, y) = first_pixel(block);
     lanes_in((0, tile.width as i32 - 1), (0, tile.height as i32 - 1), (x as i32, y as i32))
 }

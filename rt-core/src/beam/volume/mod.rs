@@ -31,17 +31,19 @@ use core::marker::PhantomData;
 
 use glam::Vec3;
 
+use super::frustum::Frustum;
 use super::pixels::Pixels as MeshPixels;
 use super::points::{POINTS_MAX, Points};
 use super::samples::Samples;
 use super::surface::{Lighting, Met, directions, meet as meet_mesh, shade};
-use super::{Lit, Projection, see, shadowed, write};
+use super::walk::{Beam, walk as walk_mesh};
+use super::{Lit, Projection, enters, fill_with_background, shadowed, write};
 use crate::blocks::{BLOCKS, ByBlock};
 use crate::count::{Count, TileCounts};
 use crate::isosurface::Isosurfaces;
 use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
-use crate::shade::{ALBEDO, AMBIENT, BACKGROUND, byte};
+use crate::shade::{ALBEDO, AMBIENT};
 use crate::simd::{LANES, Lanes, Mask, Part, Simd, Task};
 use crate::tile::{Depths, Tile, TileView};
 use crate::volume_memo::TileMemo;
@@ -79,11 +81,11 @@ impl<M: SceneMemory, C: Count, K: Kinds> Task for Draw<'_, M, C, K> {
         let Self { view, surfaces, tile, pixels: bytes, work, .. } = self;
         let projection = Projection::of_tile(&view.frame.camera, view.eye, tile)?;
         let mesh = match view.scene.header().needs.has_primitives() {
-            true => see::<S, M, C, K>(s, view, tile, work)?.ok()?,
+            true => see_mesh::<S, M, C, K>(s, view, &projection, tile, work)?,
             false => None,
         };
         if mesh.is_none() && !shows(s, surfaces, &projection) {
-            return Some(nothing(tile, bytes));
+            return Some(fill_with_background(tile, bytes));
         }
         let picture = Picture { view, surfaces, tile, mesh };
         let t_max = picture.depths_of_mesh(s)?;
@@ -92,7 +94,7 @@ impl<M: SceneMemory, C: Count, K: Kinds> Task for Draw<'_, M, C, K> {
         s.apart(See { view, surfaces, projection, tile, t_max: &t_max, found: &mut found, work })?;
         let mut painted = picture.paint(s, &found)?;
         if painted.hits == 0 {
-            return Some(nothing(tile, bytes));
+            return Some(fill_with_background(tile, bytes));
         }
         let lit = &mut painted.lit;
         let shadow = if view.frame.has_shadows() { lit.points.count as u64 } else { 0 };
@@ -106,6 +108,25 @@ impl<M: SceneMemory, C: Count, K: Kinds> Task for Draw<'_, M, C, K> {
         let (primary, hits) = (tile.pixels() as u64, painted.hits);
         Some(TileCounts { primary, hits, shadow, lit: shadow - dark, damaged: 0, t_sum })
     }
+}
+
+/// What the pixels of a tile show of triangles and spheres, if anything; `None` when rays have to draw the tile.
+#[inline(always)]
+fn see_mesh<'a, S: Simd, M: SceneMemory, C: Count, K: Kinds>(
+    s: S,
+    view: &'a TileView<'a, M>,
+    projection: &Projection,
+    tile: Tile,
+    work: &mut C,
+) -> Option<Option<MeshPixels<'a, M, K>>> {
+    let frustum = Frustum::new(s, projection, &view.scene.header().grid)?;
+    if !enters(s, view, &frustum).ok()? {
+        return Some(None);
+    }
+    let mut pixels = MeshPixels::new(view, tile, projection.depth_epsilon);
+    walk_mesh::<S, M, C, K, _>(s, view.scene, &Beam { projection, frustum: &frustum }, &mut pixels, work)
+        .ok()?;
+    Some(pixels.found_anything().ok()?.then_some(pixels))
 }
 
 /// A tile, and what its pixels show of triangles and spheres.
@@ -188,12 +209,6 @@ impl<M: SceneMemory, K: Kinds> Picture<'_, M, K> {
     }
 }
 
-/// Draws a tile in which nothing shows.
-fn nothing(tile: Tile, bytes: &mut [u8]) -> TileCounts {
-    bytes.fill(byte(BACKGROUND));
-    TileCounts { primary: tile.pixels() as u64, ..TileCounts::default() }
-}
-
 /// The grey of the isosurface that each pixel shows.
 #[inline(always)]
 fn albedo_of<S: Simd, M: SceneMemory>(
@@ -271,7 +286,8 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds> Part<S> for Shade<'_, M, C, K>
         let Some(projection) = points.projection(s, view.light) else {
             return ByRays { surfaces, points, light: view.light, work }.add_to(in_shadow);
         };
-        let mut samples = Samples::new(s, points, &projection);
+        let mut samples = Samples::new(points, projection.eye);
+        samples.place(s, &projection);
         samples.close_those(s, &in_shadow);
         s.apart(Cast { surfaces, projection: &projection, samples: &mut samples, work })?;
         Some(samples.shadowed)

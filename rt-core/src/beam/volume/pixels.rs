@@ -2,7 +2,7 @@
 
 use super::cross::{Roots, Targets};
 use super::packet::Limit;
-use crate::beam::pixels::{blocks_within, present};
+use crate::beam::pixels::{blocks_within, present_in};
 use crate::beam::surface::directions;
 use crate::beam::triangles::Bounds;
 use crate::blocks::BLOCKS;
@@ -70,7 +70,7 @@ impl<'a, S: Simd, M: SceneMemory> Pixels<'a, S, M> {
         let mut pixels = Self { view, tile, found, end: [s.splat_f64(0.0); BLOCKS], waiting: [0.0; BLOCKS] };
         for (block, &t_max) in t_max.iter().enumerate() {
             pixels.end[block] = s.widen(t_max);
-            pixels.waiting[block] = of_no_matter(s, present(tile, block), t_max);
+            pixels.waiting[block] = of_no_matter(s, present_in(tile, block), t_max);
         }
         pixels
     }
@@ -111,7 +111,7 @@ impl<S: Simd, M: SceneMemory> Targets<S> for Pixels<'_, S, M> {
     #[inline(always)]
     fn limit(&self, _: S, number: usize) -> Limit<S::D> {
         let block = number % BLOCKS;
-        Limit { end: self.end[block], open: present(self.tile, block) }
+        Limit { end: self.end[block], open: present_in(self.tile, block) }
     }
 
     #[inline(always)]
@@ -138,6 +138,6 @@ impl<S: Simd, M: SceneMemory> Targets<S> for Pixels<'_, S, M> {
         // What begins behind the cell of a root is of no matter.
         let end = s.select_f64(wide, places.enter, self.end[block]);
         self.end[block] = end;
-        self.waiting[block] = of_no_matter(s, present(self.tile, block), s.narrow(end));
+        self.waiting[block] = of_no_matter(s, present_in(self.tile, block), s.narrow(end));
     }
 }
