@@ -267,8 +267,8 @@ fn meshes_spheres_and_volumes_in_one_scene_are_drawn_the_same() {
 
 #[test]
 fn beams_read_hardly_more_pages_than_rays_need() {
-    let image = image_named("gyroid:96");
-    for radius in [0.75, 0.3] {
+    let image = image_named("gyroid:150");
+    for radius in [0.75, 0.4] {
         let pages = |kernel: Kernel| {
             let scene = view(&image);
             let place = OrbitPlace { radius, elevation: 20.0, frame: 1, frames: 7 };
@@ -278,7 +278,7 @@ fn beams_read_hardly_more_pages_than_rays_need() {
         };
         let (by_rays, by_beams) = (pages(Kernel::Rays(Lanes::PORTABLE)), pages(Kernel::fastest()));
         let more = by_beams.difference(&by_rays).count();
-        assert!(by_rays.len() > 100 && more * 50 < by_rays.len(), "{more} more than {}", by_rays.len());
+        assert!(by_rays.len() > 100 && more * 20 < by_rays.len(), "{more} more than {}", by_rays.len());
     }
 }
 

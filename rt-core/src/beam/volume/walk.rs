@@ -146,7 +146,7 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Walk<'_, S, M, C, T> {
         s.apart(Cross {
             packets,
             wanted,
-            look: Look { surfaces: *surfaces, targets: *targets, count: *count, brick: *brick },
+            look: Look { surfaces: *surfaces, targets: *targets, count: *count, brick },
         })
     }
 
