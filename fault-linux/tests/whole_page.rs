@@ -17,7 +17,7 @@ use fault_linux::BackendKind;
 
 const THREADS: u64 = 8;
 const SCENE: Scene =
-    Scene { pages: 64, page_bytes: 65536, slots: 4, policy: PolicyKind::Random, deadline_us: 20_000_000 };
+    Scene { pages: 64, page_bytes: 65536, deadline_us: 20_000_000, ..Scene::SMALL };
 
 /// Makes the other owner's pages word by word, giving way to other threads in between.
 #[derive(Debug)]

@@ -310,7 +310,16 @@ impl World {
             Fault::Failed(_) => self.failed += 1,
             Fault::Fetch | Fault::Show | Fault::Wait | Fault::Full => {}
         }
-        let wait = again.unwrap_or(Wait { page, since: now, world_since: world_now, is_ahead: false });
+        if answer == Fault::Wait {
+            member.note_missed(page, world_now);
+        }
+        let wait = again.unwrap_or(Wait {
+            page,
+            since: now,
+            world_since: world_now,
+            is_ahead: false,
+            is_missed: false,
+        });
         member.settle(thread, answer, wait);
         self.carry_out(node, sent, woken);
         if answer == Fault::Fetch {
@@ -343,8 +352,13 @@ impl World {
         let (is_asked, sent, woken) =
             member.input(None, |node| node.handle_prefetch(now, page, port(thread), Foretold::ByTile));
         if is_asked {
-            member.threads[thread] =
-                Thread::Fetching(Wait { page, since: now, world_since: world_now, is_ahead: true });
+            member.threads[thread] = Thread::Fetching(Wait {
+                page,
+                since: now,
+                world_since: world_now,
+                is_ahead: true,
+                is_missed: false,
+            });
         }
         self.carry_out(node, sent, woken);
     }
@@ -376,17 +390,24 @@ impl World {
             }
         }
         self.under_way.extend(sent);
+        // Who asked ahead is done before somebody that is woken asks for the same page anew.
+        let done = self.done_fetching(node, |wait| wait.is_ahead);
+        self.look_again(node, &done);
         self.look_again(node, &woken);
-        // A thread that fetches goes on when its page is there, or has failed.
+        let done = self.done_fetching(node, |_| true);
+        self.look_again(node, &done);
+    }
+
+    /// Threads that have fetched a page which is there, or has failed.
+    fn done_fetching(&mut self, node: usize, which: impl Fn(&Wait) -> bool) -> Vec<usize> {
         let member = &mut self.members[node];
-        let fetching = member.waiting(|thread| matches!(thread, Thread::Fetching(_)));
-        let done = fetching.into_iter().filter(|thread| {
+        let fetching = member.waiting(|thread| matches!(thread, Thread::Fetching(wait) if which(wait)));
+        let is_done = |thread: &usize| {
             let page = member.threads[*thread].wait().map_or(PageId(u32::MAX), |wait| wait.page);
             let state = member.with_node(|node| node.table().state(page));
             state != Some(PageState::Requested) && !member.is_filling(page)
-        });
-        let done: Vec<usize> = done.collect();
-        self.look_again(node, &done);
+        };
+        fetching.into_iter().filter(is_done).collect()
     }
 
     /// These threads ask again. Waking one may have changed what the next finds.
@@ -465,10 +486,8 @@ impl World {
         let member = &self.members[node];
         if let Thread::Fetching(wait) = member.threads[thread] {
             let waited = self.now.since(wait.world_since);
-            // For a page that was asked for ahead the deadline begins again when somebody waits for it.
-            let deadlines = if wait.is_ahead { 2 } else { 1 };
-            let is_late = waited > deadlines * self.setup.deadline_us() + member.slack_us
-                && !member.is_filling(wait.page);
+            let is_late =
+                waited > self.setup.deadline_us() + member.slack_us && !member.is_filling(wait.page);
             assert!(!is_late, "NO_LOST_WAITER: {} is asked for {waited} us after its fault", wait.page);
         }
     }

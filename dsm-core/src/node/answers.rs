@@ -152,7 +152,8 @@ impl<R: Replacement> Node<'_, R> {
         if request.holder == from {
             request.has_advanced |= added != Added::Nothing;
             // It is on its way: what is missing may be asked for again a whole round trip from now.
-            request.resend_at = now.after(self.membership.timeout_us(from));
+            let wait_us = self.membership.timeout_us(from).min(self.share_us(now, index));
+            self.requests.get_mut(index).resend_at = now.after(wait_us);
         }
         if added == Added::Nothing {
             return Err(MessageError::Late(page));
