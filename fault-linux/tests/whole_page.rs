@@ -10,7 +10,6 @@ use core::sync::atomic::{AtomicU64, Ordering};
 use common::{ME, Numbers, OTHER, Scene, assert_died, is_child, read_word, run_in_child, word};
 use dsm_core::home::{Answer, Home};
 use dsm_core::id::{NodeId, PageId};
-use dsm_core::replacement::PolicyKind;
 use dsm_core::transport::{Body, Received, SendError, Transport};
 use dsm_core::wire::HEADER_BYTES;
 use fault_linux::BackendKind;
