@@ -6,6 +6,7 @@ use anyhow::{Context, Result, bail};
 use rt_core::{Frame, Tile, TileCounts, TileId, Tiles};
 use serde::{Deserialize, Serialize};
 
+use crate::diagnostic::{FactBatch, Wants};
 use crate::link::PACKET_BYTES_MAX;
 use crate::plan::PlacementNumbers;
 use crate::report::ProcessReport;
@@ -36,6 +37,8 @@ pub(crate) enum News {
     Alive,
     /// Some tiles of a frame.
     Tiles(TileBatch),
+    /// What is known of some tiles of a frame, where somebody wants to know.
+    Facts(FactBatch),
     /// One thread has sent all that it has drawn for one order, of this frame.
     Drawn(u32),
     /// I have to give up.
@@ -74,6 +77,8 @@ pub(crate) struct SetUp {
     pub(crate) seed: u64,
     /// Tiles sent at a time at most; fewer than a packet holds for tests that count them.
     pub(crate) batch_tiles: u16,
+    /// What is to be found out of each tile.
+    pub(crate) wants: Wants,
 }
 
 /// How pages travel.
@@ -163,6 +168,7 @@ impl News {
             Self::Ready => vec![b'R'],
             Self::Alive => vec![b'A'],
             Self::Tiles(batch) => batch.to_packet(),
+            Self::Facts(batch) => batch.to_packet(b'I'),
             Self::Drawn(frame) => [&b"D"[..], &frame.to_le_bytes()].concat(),
             Self::Failed(why) => [b"F", why.as_bytes()].concat(),
             Self::Report(report) => with_json(b'P', report)?,
@@ -174,6 +180,7 @@ impl News {
             [b'R'] => Ok(Self::Ready),
             [b'A'] => Ok(Self::Alive),
             [b'T', rest @ ..] => Ok(Self::Tiles(TileBatch::from_bytes(rest)?)),
+            [b'I', rest @ ..] => Ok(Self::Facts(FactBatch::from_bytes(rest)?)),
             [b'D', f0, f1, f2, f3] => Ok(Self::Drawn(u32::from_le_bytes([*f0, *f1, *f2, *f3]))),
             [b'F', why @ ..] => Ok(Self::Failed(String::from_utf8_lossy(why).into_owned())),
             [b'P', json @ ..] => Ok(Self::Report(serde_json::from_slice(json)?)),
@@ -369,7 +376,7 @@ mod tests {
         for packet in [&b""[..], b"Z", b"S{", b"Dxx", b"GG", b"Txx", b"N", b"N123"] {
             assert!(Order::from_packet(packet).is_err());
         }
-        for packet in [&b""[..], b"T12", b"P[]", b"RR"] {
+        for packet in [&b""[..], b"T12", b"P[]", b"RR", b"I12"] {
             assert!(News::from_packet(packet).is_err());
         }
     }

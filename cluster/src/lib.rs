@@ -18,6 +18,7 @@
 //! | `isovalue` | which isosurfaces of a volume are shown |
 //! | [`trace`] | the pages that a session touches, recorded to compare replacement policies |
 //! | [`report`] | what a run prints and writes |
+//! | [`diagnostic`] | pictures of who draws what, who owns what, where misses and time go |
 //! | `describe` | a volume in words and bars |
 //! | `picture`, `output` | pixels to PNG, and their hash; files that are whole or not there |
 //!
@@ -37,6 +38,7 @@ mod canvas;
 pub mod command_line;
 mod control;
 mod describe;
+pub mod diagnostic;
 mod isovalue;
 mod link;
 mod loss;

@@ -179,6 +179,8 @@ impl Process {
                 image_bytes: self.set_up.image_bytes,
                 kernel,
                 batch_tiles: self.set_up.batch_tiles,
+                wants: self.set_up.wants,
+                placement: self.placement,
             };
             let link = self.link.clone();
             let name = format!("render {thread}");

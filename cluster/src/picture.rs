@@ -35,6 +35,10 @@ impl Picture {
         }
     }
 
+    pub(crate) const fn size(&self) -> PictureSize {
+        self.size
+    }
+
     /// A grey byte for each pixel, row by row from the upper left.
     #[must_use]
     pub fn pixels(&self) -> &[u8] {

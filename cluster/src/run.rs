@@ -2,7 +2,9 @@
 
 use core::num::NonZeroU16;
 use core::time::Duration;
+use std::ffi::{OsStr, OsString};
 use std::os::fd::OwnedFd;
+use std::path::{Path, PathBuf};
 use std::thread::{self, available_parallelism};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
@@ -20,7 +22,8 @@ pub use crate::picture::Picture;
 pub use crate::scene_source::{Source, VolumeInput};
 
 use crate::control::{Files, SetUp};
-use crate::isovalue::Shown;
+use crate::diagnostic::{Diagnostic, FrameFacts, Wants, sheet_of, sheet_of_all};
+use crate::isovalue::Surfaces;
 use crate::plan::{Demand, Plan};
 use crate::progress::FrameBar;
 use crate::report::{FrameReport, RunReport, SceneReport, Totals};
@@ -76,6 +79,8 @@ pub struct Options {
     pub lose_per_mille: u32,
     /// Copies of each page, on as many owners. With two or more, processes may die and the others go on.
     pub replicas: u8,
+    /// Pictures of what happens that are to be had of each frame.
+    pub diagnostics: Vec<Diagnostic>,
     /// Processes that are killed on purpose.
     pub kills: Vec<Kill>,
     /// Makes everything that is random repeatable.
@@ -112,6 +117,7 @@ impl Default for Options {
             deadline: Duration::from_secs(5),
             lose_per_mille: 0,
             replicas: 1,
+            diagnostics: Vec::new(),
             kills: Vec::new(),
             seed: 1,
             quiet: false,
@@ -120,21 +126,32 @@ impl Default for Options {
     }
 }
 
-/// Replays the session and hands over each picture as soon as it is whole, with the number of its moment.
+/// A frame that was drawn, as soon as it is whole.
+#[derive(Debug)]
+pub struct Shown<'a> {
+    /// The moment of the session that it shows.
+    pub moment: u32,
+    /// The frame.
+    pub picture: &'a Picture,
+    facts: &'a FrameFacts,
+    diagnostics: &'a [Diagnostic],
+}
+
+/// Replays the session and hands over each frame.
 ///
 /// The calling program must begin with [`run_as_node_if_asked`](crate::run_as_node_if_asked).
 ///
 /// # Errors
 /// The options contradict themselves or the scene; the scene cannot be used; a process of the cluster ended, hung, or
 /// could not go on. No process is left behind in any case.
-pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<()>) -> Result<RunReport> {
+pub fn run(options: &Options, mut on_frame: impl FnMut(&Shown<'_>) -> Result<()>) -> Result<RunReport> {
     options.check()?;
     let image = options.source.open(options.page_bytes, options.quiet)?;
     let image = if options.is_replicated() { image.freeze()? } else { image };
     let run = Run::plan(options, &image)?;
     let (name, header) = (image.name.clone(), image.header);
     let Options { session, size, solver, .. } = options;
-    let shown = Shown::new(&options.isosurfaces, session, &options.source, &image)?;
+    let shown = Surfaces::new(&options.isosurfaces, session, &options.source, &image)?;
     let moments = session.frames(&header.view, *size, *solver, |asked| shown.of_moment(asked))?;
     let notes = image.notes.iter().map(ToString::to_string).collect();
     let files = run.files(image)?;
@@ -166,7 +183,7 @@ fn replay(
     options: &Options,
     moments: &[Frame],
     supervisor: &mut Supervisor,
-    on_frame: &mut impl FnMut(u32, &Picture) -> Result<()>,
+    on_frame: &mut impl FnMut(&Shown<'_>) -> Result<()>,
 ) -> Result<Vec<FrameReport>> {
     let bar = FrameBar::new(options.quiet, options.session.count());
     let (start, mut frames, mut drawn) = (Instant::now(), Vec::new(), None);
@@ -176,7 +193,7 @@ fn replay(
         let frame = Frame { number: u32::try_from(frames.len())?, ..moments[moment] };
         let drawing = supervisor.draw(frame)?;
         let number = u32::try_from(moment)?;
-        on_frame(number, &drawing.picture)?;
+        on_frame(&drawing.shown(number, &options.diagnostics))?;
         let time = options.session.moments()[moment].time;
         frames.push(drawing.report(number, time, frame.isosurfaces()));
         bar.set(number + 1);
@@ -257,6 +274,10 @@ impl Run {
             deadline_us: u64::try_from(options.deadline.as_micros()).unwrap_or(u64::MAX),
             lose_per_mille: options.lose_per_mille,
             seed: options.seed,
+            wants: Wants {
+                facts: !options.diagnostics.is_empty(),
+                owners: options.diagnostics.contains(&Diagnostic::PageOwner),
+            },
             batch_tiles: if options.kills.is_empty() { u16::MAX } else { BATCH_TILES_COUNTED },
         };
         (0..processes).map(set_up).collect()
@@ -325,7 +346,39 @@ impl Options {
     }
 }
 
+impl Shown<'_> {
+    /// Writes the frame to a PNG file, and the diagnostics that were asked for beside it: with `out.png` go
+    /// `out.misses.png` and so on, and, if there are several, `out.diagnostic.png` with all side by side.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let Self { picture, facts, diagnostics, .. } = self;
+        picture.write(path)?;
+        for kind in *diagnostics {
+            sheet_of(*kind, picture, facts).write(&beside(path, kind.name()))?;
+        }
+        if diagnostics.len() > 1 {
+            sheet_of_all(diagnostics, picture, facts).write(&beside(path, "diagnostic"))?;
+        }
+        Ok(())
+    }
+}
+
+/// A file of this kind beside another one.
+fn beside(path: &Path, kind: &str) -> PathBuf {
+    let extension = path.extension().unwrap_or(OsStr::new("png"));
+    let mut new = OsString::from(kind);
+    new.push(".");
+    new.push(extension);
+    path.with_extension(new)
+}
+
 impl Drawing {
+    fn shown<'a>(&'a self, moment: u32, diagnostics: &'a [Diagnostic]) -> Shown<'a> {
+        Shown { moment, picture: &self.picture, facts: &self.facts, diagnostics }
+    }
+
     /// What is told of the frame, which showed a moment of this number and time and these isosurfaces.
     fn report(&self, moment: u32, time: f64, isosurfaces: &[Isosurface]) -> FrameReport {
         FrameReport {

@@ -14,6 +14,7 @@ use rt_core::{Frame, TileId};
 
 use crate::canvas::Canvas;
 use crate::control::{Drawn, Files, News, Order, SetUp};
+use crate::diagnostic::FrameFacts;
 use crate::link::{Link, PACKET_BYTES_MAX, wait_for_any};
 use crate::loss::{Kill, Loss, is_all_there};
 use crate::node::NODE_COMMAND;
@@ -66,6 +67,8 @@ pub(crate) struct Drawing {
     pub(crate) picture: Picture,
     pub(crate) counts: Drawn,
     pub(crate) ms: f64,
+    /// What is known of its tiles, as far as somebody wanted to know.
+    pub(crate) facts: FrameFacts,
 }
 
 /// How long one look at the links takes at most, so that a silent process is noticed soon.
@@ -123,6 +126,7 @@ impl Supervisor {
         self.doing = format!("frame {} was drawn", frame.number);
         let start = Instant::now();
         let mut canvas = Canvas::new(frame, self.nodes);
+        let mut facts = FrameFacts::new(&frame);
         for index in self.living_nodes() {
             self.give(index, &Order::Draw(frame), &mut canvas)?;
         }
@@ -134,6 +138,9 @@ impl Supervisor {
                 let context = || format!("{} sent", self.processes[index].name);
                 match event {
                     Event::News(News::Tiles(batch)) => canvas.put(&batch).with_context(context)?,
+                    Event::News(News::Facts(batch)) => {
+                        facts.take(&batch, u16::try_from(index)?).with_context(context)?;
+                    }
                     Event::News(News::Drawn(frame)) => canvas.settle(index, frame).with_context(context)?,
                     Event::Death => self.go_on_without(index, &mut canvas)?,
                     other @ Event::News(_) => self.reject(index, &other)?,
@@ -143,7 +150,7 @@ impl Supervisor {
         }
         let ms = start.elapsed().as_secs_f64() * 1000.0;
         let (picture, counts) = canvas.into_parts();
-        Ok(Drawing { picture, counts, ms })
+        Ok(Drawing { picture, counts, ms, facts })
     }
 
     /// Has every process report, and sees each one end. Tells of those that did not live to do so.
