@@ -28,6 +28,7 @@ lint() {
     local features
     for features in triangles spheres spheres,volumes triangles,shadows,lanes-avx512 spheres,shadows,lanes-avx2,lanes-avx512; do
         cargo clippy -p rt-core --lib --no-default-features --features "$features" --locked -- -D warnings
+        cargo clippy -p memsavvy --no-default-features --features "$features" --locked -- -D warnings
     done
 }
 

@@ -1,4 +1,4 @@
-// Draws our frames with Embree: the peer that the experiment `embree` measures ours against.
+// Draws our frames with Embree: the peer that the experiments `embree` and `iso` measure ours against.
 //
 //     embree SCENE CONFIGURATION
 //
@@ -6,8 +6,12 @@
 // (centre and radius); CONFIGURATION goes to Embree, besides `threads=1`. The program says its version in a line,
 // and then obeys the lines it is sent, answering each with a line of JSON:
 //
-//     build fast|robust medium|high                    builds that structure anew
-//     draw fast|robust single|packet8|packet16 FRAME   draws a picture; FRAME is the 22 numbers of `Frame`
+//     scene SCENE                         forgets all structures, and reads another scene
+//     build STRUCTURE                     builds that structure anew
+//     draw STRUCTURE PACKET FRAME         draws a picture; FRAME is the 22 numbers of `Frame`
+//
+// A STRUCTURE is two words: `fast` or `robust`, and how much care the builder takes: `low` (by Morton codes), `medium`
+// or `high`. PACKET is `single`, `packet8` or `packet16`.
 //
 // Time is that of the whole process, so it holds whatever threads Embree might start. What is drawn, and in which
 // order, is what `rt_core::render_tile` draws: see `bench/README.md`.
@@ -258,17 +262,26 @@ static void attach(RTCScene to, RTCGeometry geometry)
     rtcReleaseGeometry(geometry);
 }
 
-static RTCScene build(RTCDevice device, const Scene& scene, bool is_robust, bool is_high)
+enum Quality { LOW, MEDIUM, HIGH, QUALITIES };
+
+static const char* const QUALITY_NAMES[QUALITIES] = {"low", "medium", "high"};
+static const RTCBuildQuality EMBREE_QUALITIES[QUALITIES]
+    = {RTC_BUILD_QUALITY_LOW, RTC_BUILD_QUALITY_MEDIUM, RTC_BUILD_QUALITY_HIGH};
+
+static RTCScene build(RTCDevice device, const Scene& scene, bool is_robust, Quality quality)
 {
     RTCScene built = rtcNewScene(device);
-    rtcSetSceneFlags(built, is_robust ? RTC_SCENE_FLAG_ROBUST : RTC_SCENE_FLAG_NONE);
-    rtcSetSceneBuildQuality(built, is_high ? RTC_BUILD_QUALITY_HIGH : RTC_BUILD_QUALITY_MEDIUM);
+    // Embree builds by Morton codes only where scene and geometry both ask for it.
+    int flags = (is_robust ? RTC_SCENE_FLAG_ROBUST : 0) | (quality == LOW ? RTC_SCENE_FLAG_DYNAMIC : 0);
+    rtcSetSceneFlags(built, RTCSceneFlags(flags));
+    rtcSetSceneBuildQuality(built, EMBREE_QUALITIES[quality]);
     if (scene.triangle_count) {
         RTCGeometry mesh = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
         rtcSetSharedGeometryBuffer(mesh, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, scene.vertices.data(), 0,
             3 * sizeof(float), scene.vertex_count);
         rtcSetSharedGeometryBuffer(mesh, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, scene.triangles.data(), 0,
             3 * sizeof(uint32_t), scene.triangle_count);
+        if (quality == LOW) rtcSetGeometryBuildQuality(mesh, RTC_BUILD_QUALITY_LOW);
         attach(built, mesh);
     }
     if (scene.sphere_count) {
@@ -338,17 +351,40 @@ static Frame read_frame()
     return frame;
 }
 
-// The structures: fast, robust.
-static RTCScene structures[2] = {nullptr, nullptr};
+// The structures: fast, robust; each by its quality.
+static RTCScene structures[2][QUALITIES] = {};
+
+static void forget_structures()
+{
+    for (auto& of_edges : structures)
+        for (RTCScene& structure : of_edges)
+            if (structure) rtcReleaseScene(structure), structure = nullptr;
+}
+
+static Quality read_quality()
+{
+    std::string got = word();
+    for (int quality = 0; quality < QUALITIES; quality++)
+        if (got == QUALITY_NAMES[quality]) return Quality(quality);
+    fail("there is no quality " + got);
+}
+
+static void obey_scene(Scene& scene)
+{
+    forget_structures();
+    scene = read_scene(word().c_str());
+    std::printf("{\"triangles\":%u}\n", scene.triangle_count);
+}
 
 static void obey_build(RTCDevice device, const Scene& scene)
 {
-    bool is_robust = is_second("fast", "robust"), is_high = is_second("medium", "high");
-    RTCScene& structure = structures[is_robust];
+    bool is_robust = is_second("fast", "robust");
+    Quality quality = read_quality();
+    RTCScene& structure = structures[is_robust][quality];
     if (structure) rtcReleaseScene(structure);
     ssize_t bytes_before = embree_bytes;
     Stopwatch watch;
-    structure = build(device, scene, is_robust, is_high);
+    structure = build(device, scene, is_robust, quality);
     double cpu_ms = watch.cpu_ms(), wall_ms = watch.wall_ms();
     if (int error = rtcGetDeviceError(device)) fail("cannot build: error " + std::to_string(error));
     std::printf("{\"cpu_ms\":%.6f,\"wall_ms\":%.6f,\"bytes\":%zd}\n", cpu_ms, wall_ms, embree_bytes - bytes_before);
@@ -356,7 +392,8 @@ static void obey_build(RTCDevice device, const Scene& scene)
 
 static void obey_draw()
 {
-    RTCScene structure = structures[is_second("fast", "robust")];
+    bool is_robust = is_second("fast", "robust");
+    RTCScene structure = structures[is_robust][read_quality()];
     std::string mode = word();
     Frame frame = read_frame();
     if (!structure) fail("nothing was built to draw");
@@ -391,11 +428,11 @@ int main(int count, char** arguments)
     std::printf("{\"version\":%d}\n", int(rtcGetDeviceProperty(device, RTC_DEVICE_PROPERTY_VERSION)));
     std::fflush(stdout);
     for (std::string command; std::cin >> command; std::fflush(stdout)) {
-        if (command == "build") obey_build(device, scene);
+        if (command == "scene") obey_scene(scene);
+        else if (command == "build") obey_build(device, scene);
         else if (command == "draw") obey_draw();
         else fail("there is no command " + command);
     }
-    for (RTCScene structure : structures)
-        if (structure) rtcReleaseScene(structure);
+    forget_structures();
     rtcReleaseDevice(device);
 }

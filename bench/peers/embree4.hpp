@@ -13,8 +13,8 @@ using RTCGeometry = struct RTCGeometryOpaque*;
 
 static const unsigned RTC_INVALID_GEOMETRY_ID = ~0u;
 
-enum RTCSceneFlags { RTC_SCENE_FLAG_NONE = 0, RTC_SCENE_FLAG_ROBUST = 4 };
-enum RTCBuildQuality { RTC_BUILD_QUALITY_MEDIUM = 1, RTC_BUILD_QUALITY_HIGH = 2 };
+enum RTCSceneFlags { RTC_SCENE_FLAG_NONE = 0, RTC_SCENE_FLAG_DYNAMIC = 1, RTC_SCENE_FLAG_ROBUST = 4 };
+enum RTCBuildQuality { RTC_BUILD_QUALITY_LOW = 0, RTC_BUILD_QUALITY_MEDIUM = 1, RTC_BUILD_QUALITY_HIGH = 2 };
 enum RTCGeometryType { RTC_GEOMETRY_TYPE_TRIANGLE = 0, RTC_GEOMETRY_TYPE_SPHERE_POINT = 50 };
 enum RTCBufferType { RTC_BUFFER_TYPE_INDEX = 0, RTC_BUFFER_TYPE_VERTEX = 1 };
 enum RTCFormat { RTC_FORMAT_UINT3 = 0x5003, RTC_FORMAT_FLOAT3 = 0x9003, RTC_FORMAT_FLOAT4 = 0x9004 };
@@ -90,6 +90,7 @@ void rtcCommitScene(RTCScene);
 
 RTCGeometry rtcNewGeometry(RTCDevice, RTCGeometryType);
 void rtcReleaseGeometry(RTCGeometry);
+void rtcSetGeometryBuildQuality(RTCGeometry, RTCBuildQuality);
 void rtcCommitGeometry(RTCGeometry);
 unsigned rtcAttachGeometry(RTCScene, RTCGeometry);
 void rtcSetSharedGeometryBuffer(

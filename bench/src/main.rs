@@ -11,6 +11,7 @@
 //! | [`paging_core`] | what one fault costs the state machine alone |
 //! | [`replacement`] | misses of the replacement policies, and what prefetch spares |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
+//! | [`peers`] | other programs that draw what we draw, and our kernels beside them |
 //! | [`left_out`] | what a scene does not need |
 //! | [`sim`] | the simulator: events a second |
 //! | [`findings`], [`table`], [`plot`], [`spread`] | what an experiment gives back, and how it is shown |
@@ -34,6 +35,7 @@ mod machine;
 mod memory;
 mod owner;
 mod paging_core;
+mod peers;
 mod plot;
 mod quiet;
 mod replacement;

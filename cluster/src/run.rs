@@ -11,7 +11,7 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 use anyhow::{Context, Result, bail};
 use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use fault_linux::BackendKind;
-use rt_core::{Frame, Header, Isosurface, Kernel, Solver};
+use rt_core::{Frame, Header, HeaderError, Isosurface, Kernel, SceneNeeds, Solver};
 use scene::builtin::BuiltIn;
 use transport_shm::{Inbox, Layout, PageFile};
 
@@ -147,13 +147,14 @@ pub struct Shown<'a> {
 pub fn run(options: &Options, mut on_frame: impl FnMut(&Shown<'_>) -> Result<()>) -> Result<RunReport> {
     options.check()?;
     let image = options.source.open(options.page_bytes, options.quiet)?;
+    check_built(&image)?;
     let image = if options.is_replicated() { image.freeze()? } else { image };
     let run = Run::plan(options, &image)?;
     let (name, header) = (image.name.clone(), image.header);
     let Options { session, size, solver, .. } = options;
     let shown = Surfaces::new(&options.isosurfaces, session, &options.source, &image)?;
     let moments = session.frames(&header.view, *size, *solver, |asked| shown.of_moment(asked))?;
-    let notes = image.notes.iter().map(ToString::to_string).collect();
+    let notes = image.notes.iter().map(ToString::to_string).chain(left_out_of_frames()).collect();
     let files = run.files(image)?;
     let mut supervisor =
         Supervisor::start(&run.set_ups(options), &files, options.deadline, options.kills.clone())?;
@@ -176,6 +177,20 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(&Shown<'_>) -> Result<()>
         replicas: options.replicas,
         losses,
     })
+}
+
+/// Refuses what a build without some kernels cannot draw, before anybody is started.
+fn check_built(image: &Image) -> Result<()> {
+    match image.header.needs.without(SceneNeeds::BUILT) {
+        SceneNeeds::NONE => Ok(()),
+        missing => Err(HeaderError::LeftOut(missing)).with_context(|| format!("cannot draw {}", image.name)),
+    }
+}
+
+/// What pictures lack because this build lacks it.
+fn left_out_of_frames() -> Option<String> {
+    let without = "no shadows: they were left out of this build; enable the feature shadows";
+    (!cfg!(feature = "shadows")).then(|| without.to_owned())
 }
 
 /// Draws moments of the session until it is over.

@@ -21,6 +21,7 @@ mod bricks;
 mod build;
 pub mod builtin;
 pub mod file;
+#[cfg(any(test, feature = "fuzzing"))]
 pub mod fuzzing;
 mod info;
 mod mesh;

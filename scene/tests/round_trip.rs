@@ -253,15 +253,3 @@ fn broken_files_are_refused_with_one_line() {
     }
     assert!(matches!(SceneFile::open(&PathBuf::from("/nowhere/at.msv")), Err(OpenError::Io(_))));
 }
-
-#[test]
-fn arbitrary_bytes_are_no_harm_to_the_fuzzing_entry() {
-    let whole = image(&builtin::knot(3000), 4096);
-    scene::fuzzing::image(&whole);
-    for place in (4096..whole.len()).step_by(977) {
-        let mut bytes = whole.clone();
-        bytes[place] = bytes[place].wrapping_add(101);
-        scene::fuzzing::image(&bytes);
-    }
-    scene::fuzzing::image(b"MEMSAVVY");
-}

@@ -5,23 +5,14 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`subject`] | what is drawn, from where, and what is asked of it |
-//! | [`ours`] | our kernels, and how they are prepared and drawn with |
-//! | [`program`], [`peer`] | compiling `peers/embree.cpp`; a running one, and what it is told |
-//! | [`level`], [`stopwatch`], [`drawn`] | vector widths, processor time, what a picture gave |
 //! | [`race`] | everybody draws each frame in turns |
 //! | [`structures`] | what building takes, and the memory of what is built |
 //! | [`rates`] | the tables, aims and charts of a race |
+//!
+//! Embree and our kernels as competitors are in [`peers`](crate::peers).
 
-mod drawn;
-mod folder;
-mod level;
-mod ours;
-mod peer;
-mod pinned;
-mod program;
 mod race;
 mod rates;
-mod stopwatch;
 mod structures;
 mod subject;
 
@@ -29,12 +20,12 @@ use anyhow::Result;
 
 use crate::experiment::{Effort, Experiment};
 use crate::findings::Findings;
+use crate::peers::embree::Peer;
+use crate::peers::folder::Folder;
+use crate::peers::level::Level;
+use crate::peers::pinned::Pinned;
+use crate::peers::program::Programs;
 use crate::plot::Plot;
-use folder::Folder;
-use level::Level;
-use peer::Peer;
-use pinned::Pinned;
-use program::Programs;
 use race::{Race, Track};
 use rates::Rates;
 use structures::Structures;
@@ -63,7 +54,7 @@ const QUICK: Amount = Amount { size: 64, frames: 1, rounds: 1, builds: 1 };
 
 fn run(effort: Effort) -> Result<Findings> {
     let amount = effort.pick(FULL, QUICK);
-    let folder = Folder::create()?;
+    let folder = Folder::create("embree")?;
     let programs = Programs::compile(&folder, effort)?;
     // From here on: the peers that this thread starts keep to its core too.
     let _pinned = Pinned::to_one_core();

@@ -3,11 +3,11 @@
 use anyhow::{Context, Result, ensure};
 use rt_core::{Flat, Frame, SceneView};
 
-use super::drawn::Drawn;
-use super::level::Level;
-use super::ours::{Kernel, without_light};
-use super::peer::{Edges, Mode, Peer};
 use crate::experiment::Effort;
+use crate::peers::drawn::Drawn;
+use crate::peers::embree::{Edges, Mode, Peer, Quality};
+use crate::peers::level::Level;
+use crate::peers::ours::{Kernel, without_light};
 use crate::quiet;
 use crate::spread::Spread;
 
@@ -146,7 +146,7 @@ impl Field<'_> {
     fn draw(&mut self, entrant: &Entrant, frame: &Frame) -> Result<Drawn> {
         match entrant.way {
             Way::Ours(kernel) => kernel.draw(&self.scene, frame, &mut self.picture),
-            Way::Embree { peer, edges, mode } => self.peers[peer].draw(edges, mode, frame),
+            Way::Embree { peer, edges, mode } => self.peers[peer].draw(edges.of(Quality::High), mode, frame),
         }
     }
 }
@@ -212,7 +212,7 @@ fn mrays(rays: u64, ms: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::embree::stopwatch::Elapsed;
+    use crate::peers::stopwatch::Elapsed;
 
     fn lap(whole_ms: f64) -> Lap {
         let time = |cpu_ms| Elapsed { cpu_ms, wall_ms: 0.0 };

@@ -1,11 +1,11 @@
 //! Rays a second: tables, aims and charts of all races.
 
 use super::Amount;
-use super::level::Level;
-use super::peer::Mode;
 use super::race::{Entrant, Lap, Race, Standing, Way};
 use super::subject::Subject;
 use crate::findings::Aim;
+use crate::peers::embree::Mode;
+use crate::peers::level::Level;
 use crate::plot::{Axis, Chart, Line};
 use crate::table::{Cell, Table};
 

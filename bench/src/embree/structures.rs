@@ -1,12 +1,13 @@
 //! What building takes, and the memory of what is built.
 
 use anyhow::Result;
+use scene::{BuildOptions, Model, build};
 
 use super::Amount;
-use super::ours;
-use super::peer::{Built, Edges, Peer, Quality};
 use super::subject::Subject;
 use crate::findings::Aim;
+use crate::peers::embree::{Built, Edges, Peer, Quality, Structure};
+use crate::peers::stopwatch::{self, Elapsed};
 use crate::spread::Spread;
 use crate::table::{Cell, Table};
 
@@ -21,13 +22,15 @@ pub(super) struct Structures {
 /// Bytes of our image, for each triangle.
 const BYTES_MAX: f64 = 22.0;
 
-/// The structures of Embree, in this order, so that in the end both kinds of edges have one of high quality.
-const OF_EMBREE: [(Edges, Quality); 4] = [
-    (Edges::Fast, Quality::Medium),
-    (Edges::Robust, Quality::Medium),
-    (Edges::Fast, Quality::High),
-    (Edges::Robust, Quality::High),
+/// The structures of Embree; those of high quality are drawn with.
+const OF_EMBREE: [Structure; 4] = [
+    Edges::Fast.of(Quality::Medium),
+    Edges::Robust.of(Quality::Medium),
+    Edges::Fast.of(Quality::High),
+    Edges::Robust.of(Quality::High),
 ];
+
+const PAGE_BYTES: u32 = 16 << 10;
 
 impl Structures {
     pub(super) fn new(Amount { builds, .. }: Amount) -> Self {
@@ -48,17 +51,17 @@ impl Structures {
             peers.iter_mut().partition(|peer| Some(peer.level) == widest);
         // Their builders differ little; they only need something to draw.
         for peer in narrower {
-            peer.build(Edges::Robust, Quality::High)?;
+            peer.build(Edges::Robust.of(Quality::High))?;
         }
         let (mut ours, mut image) = (Vec::new(), Vec::new());
         let mut theirs: Vec<_> = peers.into_iter().map(|peer| (peer, [const { Vec::new() }; 4])).collect();
         for _ in 0..self.builds {
-            let (time, bytes) = ours::prepare(subject)?;
+            let (time, bytes) = prepare(subject)?;
             ours.push(time.cpu_ms);
             image = bytes;
             for (peer, builds) in &mut theirs {
-                for ((edges, quality), builds) in OF_EMBREE.into_iter().zip(builds) {
-                    builds.push(peer.build(edges, quality)?);
+                for (structure, builds) in OF_EMBREE.into_iter().zip(builds) {
+                    builds.push(peer.build(structure)?);
                 }
             }
         }
@@ -79,7 +82,7 @@ impl Structures {
 
     fn add_embree(&mut self, subject: &Subject, name: &str, builds: &[Vec<Built>; 4]) {
         let arrays = subject.model.bytes();
-        for ((edges, quality), builds) in OF_EMBREE.into_iter().zip(builds) {
+        for (Structure { edges, quality }, builds) in OF_EMBREE.into_iter().zip(builds) {
             let name = format!("{name}, {}, {}", quality.name(), edges.name());
             let times_ms: Vec<f64> = builds.iter().map(|built| built.time.cpu_ms).collect();
             let bytes = builds.last().map_or(0, |built| built.bytes);
@@ -104,4 +107,16 @@ impl Structures {
     pub(super) fn finish(self) -> (Table, Vec<Aim>) {
         (self.table, self.aims)
     }
+}
+
+/// Builds the image of a subject with one thread.
+fn prepare(subject: &Subject) -> Result<(Elapsed, Vec<u8>)> {
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
+    let model = subject.model.clone();
+    let (elapsed, image) = stopwatch::time(|| one.install(|| image_of(model)));
+    Ok((elapsed, image?))
+}
+
+fn image_of(model: Model) -> Result<Vec<u8>> {
+    Ok(build(model, &BuildOptions::default(), &|_| {})?.to_bytes(PAGE_BYTES)?)
 }

@@ -122,6 +122,29 @@ impl<F: Copy> Edges<F> {
     }
 }
 
+impl<F: Copy> Edges<F> {
+    /// The lanes whose triangle may cover, or nearly cover, a pixel of the block in this column and row of blocks.
+    ///
+    /// Edge functions are affine: on the block, one differs from its value in the middle by at most 1.5 times the sum of its
+    /// slopes. Away from the triangle their own rounding grows; a second margin has room for it.
+    #[inline(always)]
+    pub(super) fn may_cover_block<S: Simd<F = F>>(&self, s: S, [column, row]: [F; 2]) -> Mask {
+        let [x, y] = each!(2: [column, row], place => s.add(s.mul(place, s.splat(4.0)), s.splat(1.5)));
+        let [ax, bx, cx] = each!(3: self.corners, corner => s.sub(corner.x, x));
+        let [ay, by, cy] = each!(3: self.corners, corner => s.sub(corner.y, y));
+        let margin = s.mul(self.margins.edge, s.splat(2.0));
+        let mut may = [Mask::MAX; 2];
+        for (p, q) in [([bx, by], [cx, cy]), ([cx, cy], [ax, ay]), ([ax, ay], [bx, by])] {
+            let slopes = s.add(s.abs(s.sub(p[0], q[0])), s.abs(s.sub(p[1], q[1])));
+            let reach = s.add(s.mul(slopes, s.splat(1.500_1)), margin);
+            let middle = edge_of(s, p, q);
+            may[0] &= s.le(s.sub(s.splat(0.0), reach), middle);
+            may[1] &= s.le(middle, reach);
+        }
+        may[0] | may[1]
+    }
+}
+
 impl EdgesByLane {
     /// One triangle, in all lanes.
     #[inline(always)]

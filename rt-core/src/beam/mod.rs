@@ -77,7 +77,6 @@ use pixels::Pixels;
 use points::{POINTS_MAX, Points};
 use projection::Projection;
 use sample_tests::Shadows;
-use samples::Samples;
 use sphere_samples::SphereRoom;
 use surface::{Lighting, surface};
 use walk::{Beam, walk};
@@ -107,10 +106,18 @@ impl<M: SceneMemory, C: Count, K: Kinds> Task for Draw<'_, M, C, K> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) -> Option<TileCounts> {
         let Self { view, tile, pixels: bytes, work, .. } = self;
-        let Some(pixels) = see::<S, M, C, K>(s, view, tile, work)?.ok()? else {
-            bytes.fill(shade::byte(shade::BACKGROUND));
-            return Some(TileCounts { primary: tile.pixels() as u64, ..TileCounts::default() });
-        };
+        let projection = Projection::of_tile(&view.frame.camera, view.eye, tile)?;
+        let frustum = Frustum::new(s, &projection, &view.scene.header().grid)?;
+        if !enters(s, view, &frustum).ok()? {
+            return Some(fill_with_background(tile, bytes));
+        }
+        // Large, and never moved.
+        let mut pixels = Pixels::<M, K>::new(view, tile, projection.depth_epsilon);
+        let beam = Beam { projection: &projection, frustum: &frustum };
+        walk::<S, M, C, K, _>(s, view.scene, &beam, &mut pixels, work).ok()?;
+        if !pixels.found_anything().ok()? {
+            return Some(fill_with_background(tile, bytes));
+        }
         let lighting = Lighting { eye: view.eye, light: view.light, shadow_offset: view.shadow_offset };
         let mut lit =
             Lit { grey: [[shade::BACKGROUND; LANES]; BLOCKS], facing: [0; BLOCKS], points: Points::new() };
@@ -137,30 +144,18 @@ impl<M: SceneMemory, C: Count, K: Kinds> Task for Draw<'_, M, C, K> {
     }
 }
 
-/// Finds the nearest surface of each pixel; `None` when the camera is not for beams. No pixels when none hits
-/// anything.
+/// Whether a beam enters the grid at all.
 #[inline(always)]
-fn see<'a, S: Simd, M: SceneMemory, C: Count, K: Kinds>(
-    s: S,
-    view: &'a TileView<'_, M>,
-    tile: Tile,
-    work: &mut C,
-) -> Option<Result<Option<Pixels<'a, M, K>>, Damaged>> {
-    let camera = &view.frame.camera;
-    let projection = Projection::of_tile(camera, view.eye, tile)?;
-    let frustum = Frustum::new(s, &projection, &view.scene.header().grid)?;
-    let beam = Beam { projection: &projection, frustum: &frustum };
+fn enters<S: Simd, M: SceneMemory>(s: S, view: &TileView<'_, M>, frustum: &Frustum) -> Result<bool, Damaged> {
     let grid = &view.scene.header().grid;
-    match view.scene.branch(0) {
-        Ok(root) if frustum.cells_entered(s, &root, grid.origin, grid.size * 0.25, f32::MAX) == 0 => {
-            return Some(Ok(None));
-        }
-        Ok(_) => {}
-        Err(damaged) => return Some(Err(damaged)),
-    }
-    let mut pixels = Pixels::new(view, tile, projection.depth_epsilon);
-    let walked = walk::<S, M, C, K, _>(s, view.scene, &beam, &mut pixels, work).and_then(|()| pixels.check());
-    Some(walked.map(|()| pixels.hit.iter().any(|&hit| hit != 0).then_some(pixels)))
+    let root = view.scene.branch(0)?;
+    Ok(frustum.cells_entered(s, &root, grid.origin, grid.size * 0.25, f32::MAX) != 0)
+}
+
+/// A tile that shows nothing.
+fn fill_with_background(tile: Tile, bytes: &mut [u8]) -> TileCounts {
+    bytes.fill(shade::byte(shade::BACKGROUND));
+    TileCounts { primary: tile.pixels() as u64, ..TileCounts::default() }
 }
 
 /// What the pixels of a tile show, and where light may fall.
@@ -226,9 +221,9 @@ fn by_beam<S: Simd, M: SceneMemory, C: Count, K: Kinds>(
     let Some(frustum) = Frustum::new(s, projection, &view.scene.header().grid) else {
         return Ok(None);
     };
-    let samples = Samples::new(s, points, projection);
     let spheres = if K::SPHERES { Some(SphereRoom::new()) } else { None };
-    let mut shadows = Shadows::new(samples, spheres);
+    let mut shadows = Shadows::new(points, projection.eye, spheres);
+    shadows.samples.place(s, projection);
     walk::<S, M, C, K, _>(s, view.scene, &Beam { projection, frustum: &frustum }, &mut shadows, work)?;
     Ok(Some(shadows.samples.shadowed))
 }

@@ -2,7 +2,8 @@
 //!
 //! Sixteen triangles at a time are held against the grid of pixels; most miss every one. What is left is written down, so
 //! that what follows has full lanes and few branches: small triangles with each pixel that they may cover, tested as
-//! *pairs*, sixteen at a time; larger triangles, tested one by one against blocks of sixteen pixels.
+//! *pairs*, sixteen at a time; middling ones with each block of pixels that they may reach over, sixteen pairs of which are
+//! sifted at a time, and those that do tested one by one against sixteen pixels; large ones one by one.
 
 use super::edges::{Edges, Extent};
 use super::pixels::{COLUMNS, Pixels, ROWS, lanes_in};
@@ -20,6 +21,9 @@ pub(super) struct Lists {
     /// lower.
     small: [f32; 4 * TRIANGLES_MAX as usize + LANES],
     small_count: usize,
+    /// Middling ones. Added is which of their up to four blocks is meant, in the same way.
+    middling: [f32; 4 * TRIANGLES_MAX as usize + LANES],
+    middling_count: usize,
     large: [f32; TRIANGLES_MAX as usize + LANES],
     large_count: usize,
 }
@@ -37,6 +41,8 @@ impl Lists {
         Self {
             small: [0.0; 4 * TRIANGLES_MAX as usize + LANES],
             small_count: 0,
+            middling: [0.0; 4 * TRIANGLES_MAX as usize + LANES],
+            middling_count: 0,
             large: [0.0; TRIANGLES_MAX as usize + LANES],
             large_count: 0,
         }
@@ -54,6 +60,59 @@ impl<F: Copy> Reach<F> {
             bottom: last_place(s, s.add(extent.bottom, delta), pixels.tile.height),
         }
     }
+
+    /// How many columns and rows of blocks lie between the first and the last.
+    #[inline(always)]
+    fn blocks<S: Simd<F = F>>(&self, s: S) -> [F; 2] {
+        each!(2: [(self.left, self.right), (self.top, self.bottom)], (first, last) => {
+            s.sub(block_of(s, last), block_of(s, first))
+        })
+    }
+}
+
+impl<F: Copy> Reach<F> {
+    /// The pixels of a block that lie in the columns, and those that lie in the rows, reached over. The block, in this
+    /// column and row of blocks, is one that is reached over.
+    #[inline(always)]
+    fn within_blocks<S: Simd<F = F>>(&self, s: S, [column, row]: [F; 2]) -> [[i32; LANES]; 2] {
+        let four = s.splat(4.0);
+        let [columns, rows] = each!(2: [(self.left, self.right, column), (self.top, self.bottom, row)], (first, last, block) => {
+            let from = s.mul(block, four);
+            let first = s.max(s.sub(first, from), s.splat(0.0));
+            let last = s.min(s.sub(last, from), s.splat(3.0));
+            s.to_int(s.add(s.mul(first, four), last))
+        });
+        each!(2: [(&WITHIN[0], columns), (&WITHIN[1], rows)], (table, range) => {
+            s.int_array(s.to_int(s.lookup(table, range)))
+        })
+    }
+}
+
+/// The column, or row, of blocks that a column, or row, of pixels is in.
+#[inline(always)]
+fn block_of<S: Simd>(s: S, place: S::F) -> S::F {
+    s.to_float(s.to_int(s.mul(place, s.splat(0.25))))
+}
+
+/// Lanes that have a first, a right, a lower, and a lower right one of four.
+#[inline(always)]
+const fn quarters(lanes: Mask, is_wide: Mask, is_high: Mask) -> [Mask; 4] {
+    [lanes, lanes & is_wide, lanes & is_high, lanes & is_wide & is_high]
+}
+
+/// The names of triangles, with which of four is meant added.
+#[inline(always)]
+fn meant<S: Simd>(s: S, names: S::F, which: usize) -> S::F {
+    s.add(names, s.splat((which as u32 * Corners::COUNT) as f32))
+}
+
+/// Steps to the right and down from the first of four to that which is meant.
+#[inline(always)]
+fn steps<S: Simd>(s: S, names: S::I) -> [S::F; 2] {
+    let (zero, one, two) = (s.splat(0.0), s.splat(1.0), s.splat(2.0));
+    let which = s.to_float(s.shift_right::<15>(names));
+    let is_lower = s.le(two, which);
+    [s.sub(which, s.select(is_lower, two, zero)), s.select(is_lower, one, zero)]
 }
 
 /// The first pixel that does not lie before a place.
@@ -84,6 +143,8 @@ impl<M: SceneMemory, K: Kinds> Pixels<'_, M, K> {
         self.begin(triangles.cluster.place());
         self.test_small(s, triangles);
         if self.lists.large_count > 0 {
+            self.list_middling(s, triangles);
+            self.test_middling(s, triangles);
             self.test_large(s, triangles);
         }
     }
@@ -105,14 +166,34 @@ impl<M: SceneMemory, K: Kinds> Pixels<'_, M, K> {
                 & s.le(s.splat(self.least), s.mul(extent.near, s.splat(nearer)))
                 & batch.lanes;
             let small = lanes & s.lt(wide, two) & s.lt(high, two);
-            let (wide, high) = (s.le(one, wide) & small, s.le(one, high) & small);
-            for (which, lanes) in [small, wide, high, wide & high].into_iter().enumerate() {
-                let names = s.add(batch.names, s.splat((which as u32 * Corners::COUNT) as f32));
-                pack(s, lanes, names, &mut self.lists.small, &mut small_count);
+            for (which, lanes) in quarters(small, s.le(one, wide), s.le(one, high)).into_iter().enumerate() {
+                pack(s, lanes, meant(s, batch.names, which), &mut self.lists.small, &mut small_count);
             }
             pack(s, lanes & !small, batch.names, &mut self.lists.large, &mut large_count);
         }
         (self.lists.small_count, self.lists.large_count) = (small_count, large_count);
+    }
+
+    /// Lists the blocks of middling triangles, of up to 2x2 blocks, among the larger ones. Leaves the others.
+    #[inline(always)]
+    fn list_middling<S: Simd>(&mut self, s: S, triangles: &Triangles<'_, S>) {
+        let (one, two) = (s.splat(1.0), s.splat(2.0));
+        let (count, mut middling_count, mut large_count) = (self.lists.large_count, 0, 0);
+        for first in (0..count).step_by(LANES) {
+            let names = s.load(chunk(&self.lists.large, first));
+            let extent = Extent::of(s, &triangles.named(s, s.to_int(names)));
+            let [columns, rows] = Reach::of(s, self, &extent, triangles.delta).blocks(s);
+            let lanes = first_lanes(count - first);
+            let middling = lanes & s.lt(columns, two) & s.lt(rows, two);
+            for (which, lanes) in
+                quarters(middling, s.le(one, columns), s.le(one, rows)).into_iter().enumerate()
+            {
+                pack(s, lanes, meant(s, names, which), &mut self.lists.middling, &mut middling_count);
+            }
+            // Not beyond what has been read.
+            pack(s, lanes & !middling, names, &mut self.lists.large, &mut large_count);
+        }
+        (self.lists.middling_count, self.lists.large_count) = (middling_count, large_count);
     }
 
     /// Tests triangles that reach over at most 2x2 pixels.
@@ -125,11 +206,8 @@ impl<M: SceneMemory, K: Kinds> Pixels<'_, M, K> {
             let extent = Extent::of(s, &corners);
             let edges = extent.edges(s, &corners, triangles.delta);
             let reach = Reach::of(s, self, &extent, triangles.delta);
-            let (zero, one, two) = (s.splat(0.0), s.splat(1.0), s.splat(2.0));
-            let which = s.to_float(s.shift_right::<15>(names));
-            let is_lower = s.le(two, which);
-            let x = s.add(reach.left, s.sub(which, s.select(is_lower, two, zero)));
-            let y = s.add(reach.top, s.select(is_lower, one, zero));
+            let [right, down] = steps(s, names);
+            let (x, y) = (s.add(reach.left, right), s.add(reach.top, down));
             let covered = edges.cover(s, (x, y), triangles.depth_epsilon);
             let places = [s.lookup(&PLACES[0], s.to_int(x)), s.lookup(&PLACES[1], s.to_int(y))];
             let pixels = s.int_array(s.to_int(s.add(places[0], places[1])));
@@ -155,7 +233,38 @@ impl<M: SceneMemory, K: Kinds> Pixels<'_, M, K> {
         }
     }
 
-    /// Tests triangles that reach over more, one at a time, against the blocks they reach over.
+    /// Tests triangles that reach over more pixels, but at most 2x2 blocks.
+    #[inline(always)]
+    fn test_middling<S: Simd>(&mut self, s: S, triangles: &Triangles<'_, S>) {
+        let count = self.lists.middling_count;
+        for first in (0..count).step_by(LANES) {
+            let names = s.to_int(s.load(chunk(&self.lists.middling, first)));
+            let corners = triangles.named(s, names);
+            let extent = Extent::of(s, &corners);
+            let edges = extent.edges(s, &corners, triangles.delta);
+            let reach = Reach::of(s, self, &extent, triangles.delta);
+            let [right, down] = steps(s, names);
+            let column = s.add(block_of(s, reach.left), right);
+            let row = s.add(block_of(s, reach.top), down);
+            let blocks = s.to_int(s.add(column, s.mul(row, s.splat(8.0))));
+            let near = s.mul(extent.near, s.splat(1.0 + triangles.depth_epsilon));
+            let mut left = s.le(s.gather(&self.waiting, blocks), near)
+                & edges.may_cover_block(s, [column, row])
+                & first_lanes(count - first);
+            let edges = edges.by_lane(s);
+            let [columns, rows] = reach.within_blocks(s, [column, row]);
+            let (names, blocks) = (s.int_array(names), s.int_array(blocks));
+            while left != 0 {
+                let at = left.trailing_zeros() as usize;
+                left &= left - 1;
+                let (block, within) = (blocks[at] as usize % BLOCKS, (columns[at] & rows[at]) as Mask);
+                let corners = Corners::of(names[at] as u32);
+                self.test_block(s, triangles, (&edges.splat(s, at), corners), (block, within));
+            }
+        }
+    }
+
+    /// Tests triangles that reach over even more, one at a time, against the blocks they reach over.
     #[inline(always)]
     fn test_large<S: Simd>(&mut self, s: S, triangles: &Triangles<'_, S>) {
         for first in (0..self.lists.large_count).step_by(LANES) {
@@ -237,4 +346,17 @@ pub(super) const PLACES: [[[f32; LANES]; 2]; 2] = {
         at += 1;
     }
     places
+};
+
+/// The pixels of a block from one column, or row, to another: at four times the first plus the last.
+const WITHIN: [[[f32; LANES]; 2]; 2] = {
+    let mut within = [[[0.0; LANES]; 2]; 2];
+    let mut at = 0;
+    while at < LANES {
+        let (first, last) = ((at / 4) as i32, (at % 4) as i32);
+        within[0][0][at] = lanes_in((first, last), (0, 3), (0, 0)) as f32;
+        within[1][0][at] = lanes_in((0, 3), (first, last), (0, 0)) as f32;
+        at += 1;
+    }
+    within
 };

@@ -64,10 +64,14 @@ pub(super) struct Block {
 
 impl<'a, M: SceneMemory, K: Kinds> Pixels<'a, M, K> {
     pub(super) fn new(view: &'a TileView<'_, M>, tile: Tile, depth_epsilon: f32) -> Self {
-        let present: [Mask; BLOCKS] = core::array::from_fn(|block| {
-            let (x, y) = first_pixel(block);
-            lanes_in((0, tile.width as i32 - 1), (0, tile.height as i32 - 1), (x as i32, y as i32))
-        });
+        let mut present = [Mask::MAX; BLOCKS];
+        if tile.pixels() < BLOCKS * LANES {
+            for (block, present) in present.iter_mut().enumerate() {
+                let (x, y) = first_pixel(block);
+                let (columns, rows) = ((0, tile.width as i32 - 1), (0, tile.height as i32 - 1));
+                *present = lanes_in(columns, rows, (x as i32, y as i32));
+            }
+        }
         let waiting = present.map(|present| if present == 0 { f32::INFINITY } else { 0.0 });
         Self {
             scene: view.scene,
@@ -89,9 +93,12 @@ impl<'a, M: SceneMemory, K: Kinds> Pixels<'a, M, K> {
         }
     }
 
-    /// That all went well.
-    pub(super) fn check(&self) -> Result<(), Damaged> {
-        self.damaged.map_or(Ok(()), Err)
+    /// Whether any pixel hits anything.
+    ///
+    /// # Errors
+    /// What went wrong on the way.
+    pub(super) fn found_anything(&self) -> Result<bool, Damaged> {
+        self.damaged.map_or_else(|| Ok(self.hit.iter().any(|&hit| hit != 0)), Err)
     }
 
     /// The pixels of a block that show a sphere.

@@ -57,11 +57,7 @@ impl Points {
     /// angle.
     #[inline(always)]
     pub(super) fn projection<S: Simd>(&self, s: S, light: Vec3) -> Option<Projection> {
-        let mut sum = Vec3::ZERO;
-        for index in 0..self.count {
-            sum += self.get(index);
-        }
-        let depth = unit(sum / self.count as f32 - light)?;
+        let depth = unit(self.middle(s) - light)?;
         let aside = if depth.x.abs() < 0.6 { Vec3::X } else { Vec3::Y };
         let x = unit(depth.cross(aside))?;
         let y = depth.cross(x);
@@ -87,6 +83,21 @@ impl Points {
         let unit = [0, 1].map(|axis: usize| ((high[axis] - low[axis]) / (LINES - 0.25)).max(UNIT_MIN));
         let rows = [(x - depth * low[0]) / unit[0], (y - depth * low[1]) / unit[1], depth];
         Projection::new(light, rows, [LINES; 2], unit[0].max(unit[1]), 1.0 + slant)
+    }
+}
+
+impl Points {
+    /// About the middle of the points.
+    #[inline(always)]
+    fn middle<S: Simd>(&self, s: S) -> Vec3 {
+        let mut sums = [s.splat(0.0); 3];
+        for first in (0..self.count).step_by(LANES) {
+            let points = self.load(s, first);
+            sums = each!(3: [0, 1, 2], axis => s.add(sums[axis], points[axis]));
+        }
+        let lanes = self.count.next_multiple_of(LANES) as f32;
+        let [x, y, z] = each!(3: sums, sum => s.array(sum).iter().sum::<f32>() / lanes);
+        Vec3::new(x, y, z)
     }
 }
 

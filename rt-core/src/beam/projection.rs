@@ -66,11 +66,12 @@ impl Projection {
         if !is_sane {
             return None;
         }
-        let inverse = |a: DVec3, b: DVec3| a.cross(b) / determinant;
+        let per_determinant = 1.0 / determinant;
+        let inverse = |a: DVec3, b: DVec3| a.cross(b) * per_determinant;
         let depth = inverse(right, up);
         let row = |across: DVec3, first: f32, step: f32, at: u32| {
-            let (first, step) = (f64::from(first), f64::from(step));
-            across / step - depth * (first / step + f64::from(at))
+            let (first, per_step) = (f64::from(first), 1.0 / f64::from(step));
+            across * per_step - depth * (first * per_step + f64::from(at))
         };
         let x = row(inverse(up, forward), camera.x_first, camera.x_step, tile.x);
         let y = row(inverse(forward, right), camera.y_first, camera.y_step, tile.y);

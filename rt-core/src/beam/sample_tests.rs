@@ -1,11 +1,16 @@
 //! The triangles of a cluster against the shadow samples of a tile.
 //!
-//! In steps that have full lanes and few branches. First, which triangles reach over which *groups* of samples: boxes
-//! against boxes. Then, triangle by triangle against a group, or sample by sample against the triangles, whichever is
-//! less work, which samples lie within the box of which triangle; these *pairs* are written down. Last, the pairs are
-//! tested, sixteen at a time. Most are of a lit sample and a triangle of the surface it lies on, and decide nothing.
+//! In steps that have full lanes and few branches; what each finds is written down for the next. First, which triangles
+//! reach over which *groups* of samples, and which samples the cluster reaches over: boxes against boxes. Then, triangle by
+//! triangle against a group, or sample by sample against the triangles, whichever is less work, which samples lie within the
+//! box of which triangle. Last, these *pairs* are tested, sixteen at a time. Most are of a lit sample and a triangle of the
+//! surface it lies on, and decide nothing.
+
+use glam::Vec3;
 
 use super::edges::Extent;
+use super::pixel_tests::pack;
+use super::points::{POINTS_MAX, Points};
 use super::projection::Projection;
 use super::samples::{GROUPS, Places, Samples};
 use super::sphere_samples::SphereRoom;
@@ -34,18 +39,27 @@ pub(super) struct Around<F> {
     pub(super) near: F,
 }
 
-/// [`Around`] each triangle of a cluster, by batches, and the triangles' names.
+/// [`Around`] each triangle of a cluster, and the triangles' names.
 struct AroundAll {
-    around: [Around<[f32; LANES]>; BATCHES],
+    around: Around<[[f32; LANES]; BATCHES]>,
     names: [[f32; LANES]; BATCHES],
 }
 
 /// Room for what the steps write down.
 struct Room {
     all: AroundAll,
-    /// Triangles that reach over each group, for the groups that the cluster reaches over.
-    reaching: [[Mask; BATCHES]; GROUPS],
+    /// Groups with triangles that reach over them: the group times [`TRIANGLES`], plus the triangle. When there are
+    /// more than there is room for, it is less work to go sample by sample.
+    reaching: List,
+    /// Samples that the cluster reaches over, by number.
+    within: List,
     pairs: Pairs,
+}
+
+/// Up to as many numbers as there are samples. The count goes on beyond.
+struct List {
+    numbers: [f32; POINTS_MAX + LANES],
+    count: usize,
 }
 
 /// Pairs of a sample and a triangle, waiting to be tested.
@@ -56,20 +70,23 @@ struct Pairs {
     count: usize,
 }
 
-/// Most batches of a cluster.
-const BATCHES: usize = TRIANGLES_MAX as usize / LANES;
+/// Most triangles of a cluster, and batches of them.
+const TRIANGLES: usize = TRIANGLES_MAX as usize;
+const BATCHES: usize = TRIANGLES / LANES;
 
 /// Enough that tests seldom lack pairs; apart from powers of two, so that the arrays do not compete for cache lines.
 const CAPACITY: usize = 272;
 
 impl<'a> Shadows<'a> {
-    pub(super) const fn new(samples: Samples<'a>, spheres: Option<SphereRoom>) -> Self {
-        const NONE: [f32; LANES] = [0.0; LANES];
+    #[inline(always)]
+    pub(super) const fn new(points: &'a Points, light: Vec3, spheres: Option<SphereRoom>) -> Self {
+        const NONE: [[f32; LANES]; BATCHES] = [[0.0; LANES]; BATCHES];
         const MANY: [f32; CAPACITY] = [0.0; CAPACITY];
         let around = Around { left: NONE, right: NONE, top: NONE, bottom: NONE, near: NONE };
-        let all = AroundAll { around: [around; BATCHES], names: [NONE; BATCHES] };
+        let all = AroundAll { around, names: NONE };
         let pairs = Pairs { names: MANY, samples: MANY, count: 0 };
-        Self { samples, room: Room { all, reaching: [[0; BATCHES]; GROUPS], pairs }, spheres }
+        let samples = Samples::new(points, light);
+        Self { samples, room: Room { all, reaching: List::new(), within: List::new(), pairs }, spheres }
     }
 }
 
@@ -92,11 +109,12 @@ impl<S: Simd> Targets<S> for Shadows<'_> {
             return;
         }
         let batches = self.room.all.fill(s, triangles);
-        let around = Around::of(s, &triangles.bounds);
-        if self.is_less_by_triangle(s, groups, batches, &around) {
-            self.pair_by_triangle(s, groups, batches, triangles);
+        self.reach(s, groups, batches, &triangles.bounds);
+        let by_triangle = self.room.reaching.count;
+        if by_triangle <= POINTS_MAX.min(self.room.within.count * batches) {
+            self.pair_by_triangle(s, triangles);
         } else {
-            self.pair_by_sample(s, groups, (batches, &around), triangles);
+            self.pair_by_sample(s, batches, triangles);
         }
         self.room.pairs.test(s, &mut self.samples, triangles);
     }
@@ -114,65 +132,61 @@ impl<S: Simd> Targets<S> for Shadows<'_> {
 }
 
 impl Shadows<'_> {
-    /// Finds which triangles reach over which groups, and whether it is less work to go triangle by triangle.
+    /// Finds which triangles reach over which groups, and which samples the cluster reaches over.
     #[inline(always)]
-    fn is_less_by_triangle<S: Simd>(
-        &mut self,
-        s: S,
-        groups: u64,
-        batches: usize,
-        around: &Around<S::F>,
-    ) -> bool {
-        let Self { samples, room: Room { all, reaching, .. }, .. } = self;
-        let (mut by_triangle, mut by_sample) = (0, 0);
+    fn reach<S: Simd>(&mut self, s: S, groups: u64, batches: usize, bounds: &Bounds) {
+        let Self { samples, room: Room { all, reaching, within, .. }, .. } = self;
+        let cluster = Around::of(s, bounds);
+        let numbers = s.load(&NUMBERS);
+        (reaching.count, within.count) = (0, 0);
         for group in bits(groups) {
             let corners = samples.corners_of_group(s, group);
-            for (reaching, around) in reaching[group].iter_mut().zip(&all.around).take(batches) {
-                *reaching = around.load(s).reaches(s, &corners);
-                by_triangle += reaching.count_ones();
+            for batch in 0..batches {
+                let first = (group * TRIANGLES + batch * LANES) as f32;
+                let lanes = all.batch(s, batch).reaches(s, &corners);
+                reaching.add(s, lanes, s.add(numbers, s.splat(first)));
             }
             let places = samples.group(s, group);
-            by_sample += around.reaches(s, &[places; 2]).count_ones() * batches as u32;
+            let lanes = cluster.reaches(s, &[places; 2]);
+            within.add(s, lanes, s.add(numbers, s.splat((group * LANES) as f32)));
         }
-        by_triangle <= by_sample
     }
 
     /// Pairs each triangle with the samples of the groups that it reaches over.
     #[inline(always)]
-    fn pair_by_triangle<S: Simd>(&mut self, s: S, groups: u64, batches: usize, triangles: &Triangles<'_, S>) {
-        let Self { samples, room: Room { all, reaching, pairs }, .. } = self;
-        for group in bits(groups) {
-            for (batch, reaching) in reaching[group].into_iter().enumerate().take(batches) {
-                for lane in bits(reaching.into()) {
-                    let places = samples.group(s, group);
-                    pairs.add_samples(s, &places, group, all.one(s, batch, lane));
-                    pairs.test_if_full(s, samples, triangles);
-                }
-            }
+    fn pair_by_triangle<S: Simd>(&mut self, s: S, triangles: &Triangles<'_, S>) {
+        let Self { samples, room: Room { all, reaching, pairs, .. }, .. } = self;
+        for &number in reaching.numbers.iter().take(reaching.count) {
+            let (group, triangle) = (number as usize / TRIANGLES % GROUPS, number as usize % TRIANGLES);
+            pairs.add_samples(s, &samples.group(s, group), group, all.one(s, triangle));
+            pairs.test_if_full(s, samples, triangles);
         }
     }
 
-    /// Pairs each sample within the bounds of the cluster with the triangles that reach over it.
+    /// Pairs each sample that the cluster reaches over with the triangles that do.
     #[inline(always)]
-    fn pair_by_sample<S: Simd>(
-        &mut self,
-        s: S,
-        groups: u64,
-        (batches, around): (usize, &Around<S::F>),
-        triangles: &Triangles<'_, S>,
-    ) {
-        let Self { samples, room: Room { all, pairs, .. }, .. } = self;
-        for group in bits(groups) {
-            let places = samples.group(s, group);
-            for lane in bits(around.reaches(s, &[places; 2]).into()) {
-                let place = samples.sample(s, (group, lane));
-                for (around, names) in all.around.iter().zip(&all.names).take(batches) {
-                    let batch = (around.load(s), s.load(names));
-                    pairs.add_triangles(s, &place, group * LANES + lane, batch);
-                    pairs.test_if_full(s, samples, triangles);
-                }
+    fn pair_by_sample<S: Simd>(&mut self, s: S, batches: usize, triangles: &Triangles<'_, S>) {
+        let Self { samples, room: Room { all, within, pairs, .. }, .. } = self;
+        for &number in within.numbers.iter().take(within.count) {
+            let number = number as usize % POINTS_MAX;
+            let place = samples.sample(s, (number / LANES, number % LANES));
+            for batch in 0..batches {
+                let names = s.load(&all.names[batch]);
+                pairs.add_triangles(s, &place, number, (all.batch(s, batch), names));
+                pairs.test_if_full(s, samples, triangles);
             }
         }
+    }
+}
+
+impl List {
+    const fn new() -> Self {
+        Self { numbers: [0.0; POINTS_MAX + LANES], count: 0 }
+    }
+
+    #[inline(always)]
+    fn add<S: Simd>(&mut self, s: S, lanes: Mask, numbers: S::F) {
+        pack(s, lanes, numbers, &mut self.numbers, &mut self.count);
     }
 }
 
@@ -182,45 +196,45 @@ impl AroundAll {
     fn fill<S: Simd>(&mut self, s: S, triangles: &Triangles<'_, S>) -> usize {
         let (delta, nearer) = (s.splat(triangles.delta), s.splat(1.0 + triangles.depth_epsilon));
         let batches = triangles.count().div_ceil(LANES).min(BATCHES);
-        for (at, (around, names)) in self.around.iter_mut().zip(&mut self.names).enumerate().take(batches) {
+        let Around { left, right, top, bottom, near } = &mut self.around;
+        for at in 0..batches {
             let batch = triangles.batch(s, at * LANES);
             let extent = Extent::of(s, &batch.corners);
-            s.store(s.sub(extent.left, delta), &mut around.left);
-            s.store(s.add(extent.right, delta), &mut around.right);
-            s.store(s.sub(extent.top, delta), &mut around.top);
-            s.store(s.add(extent.bottom, delta), &mut around.bottom);
+            s.store(s.sub(extent.left, delta), &mut left[at]);
+            s.store(s.add(extent.right, delta), &mut right[at]);
+            s.store(s.sub(extent.top, delta), &mut top[at]);
+            s.store(s.add(extent.bottom, delta), &mut bottom[at]);
             // Lanes without a triangle are nowhere.
-            s.store(s.select(batch.lanes, s.mul(extent.near, nearer), s.splat(0.0)), &mut around.near);
-            s.store(batch.names, names);
+            s.store(s.select(batch.lanes, s.mul(extent.near, nearer), s.splat(0.0)), &mut near[at]);
+            s.store(batch.names, &mut self.names[at]);
         }
         batches
     }
 
+    #[inline(always)]
+    fn batch<S: Simd>(&self, s: S, at: usize) -> Around<S::F> {
+        let Around { left, right, top, bottom, near } = &self.around;
+        Around {
+            left: s.load(&left[at]),
+            right: s.load(&right[at]),
+            top: s.load(&top[at]),
+            bottom: s.load(&bottom[at]),
+            near: s.load(&near[at]),
+        }
+    }
+
     /// One triangle in all lanes, and its name.
     #[inline(always)]
-    fn one<S: Simd>(&self, s: S, batch: usize, lane: usize) -> (Around<S::F>, S::F) {
-        let Around { left, right, top, bottom, near } = &self.around[batch];
+    fn one<S: Simd>(&self, s: S, triangle: usize) -> (Around<S::F>, S::F) {
+        let Around { left, right, top, bottom, near } = &self.around;
         let around = Around {
-            left: s.splat(left[lane]),
-            right: s.splat(right[lane]),
-            top: s.splat(top[lane]),
-            bottom: s.splat(bottom[lane]),
-            near: s.splat(near[lane]),
+            left: s.splat(left.as_flattened()[triangle]),
+            right: s.splat(right.as_flattened()[triangle]),
+            top: s.splat(top.as_flattened()[triangle]),
+            bottom: s.splat(bottom.as_flattened()[triangle]),
+            near: s.splat(near.as_flattened()[triangle]),
         };
-        (around, s.splat(self.names[batch][lane]))
-    }
-}
-
-impl Around<[f32; LANES]> {
-    #[inline(always)]
-    fn load<S: Simd>(&self, s: S) -> Around<S::F> {
-        Around {
-            left: s.load(&self.left),
-            right: s.load(&self.right),
-            top: s.load(&self.top),
-            bottom: s.load(&self.bottom),
-            near: s.load(&self.near),
-        }
+        (around, s.splat(self.names.as_flattened()[triangle]))
     }
 }
 

@@ -40,11 +40,11 @@ pub(super) struct Samples<'a> {
 pub(super) const GROUPS: usize = POINTS_MAX / LANES;
 
 impl<'a> Samples<'a> {
-    #[inline(always)]
-    pub(super) fn new<S: Simd>(s: S, points: &'a Points, projection: &Projection) -> Self {
-        let mut samples = Self {
+    /// The points as samples of this light, that have no places yet.
+    pub(super) const fn new(points: &'a Points, light: Vec3) -> Self {
+        Self {
             points,
-            light: projection.eye,
+            light,
             x: [[0.0; LANES]; GROUPS],
             y: [[0.0; LANES]; GROUPS],
             w: [[f32::INFINITY; LANES]; GROUPS],
@@ -58,14 +58,12 @@ impl<'a> Samples<'a> {
             least: 0.0,
             is_stale: true,
             far_seen: FarSeen::new(),
-        };
-        samples.place(s, projection);
-        samples
+        }
     }
 
     /// Puts the samples in their places, and finds the boxes of the groups.
     #[inline(always)]
-    fn place<S: Simd>(&mut self, s: S, projection: &Projection) {
+    pub(super) fn place<S: Simd>(&mut self, s: S, projection: &Projection) {
         let zero = s.splat(0.0);
         for group in 0..self.points.count.div_ceil(LANES) {
             let first = group * LANES;

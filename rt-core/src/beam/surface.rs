@@ -5,14 +5,14 @@
 
 use glam::Vec3;
 
-use super::pixels::Pixels;
+use super::pixels::{COLUMNS, Pixels, ROWS};
 use super::sphere_surface::sphere_surface;
 use crate::blocks::first_pixel;
 use crate::camera::Camera;
 use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
 use crate::shade::{ALBEDO, AMBIENT, DIFFUSE};
-use crate::simd::{LANES, Mask, Simd, each};
+use crate::simd::{Mask, Simd, each};
 use crate::tile::Tile;
 use crate::view::Damaged;
 
@@ -77,13 +77,11 @@ pub(super) fn surface<S: Simd, M: SceneMemory, K: Kinds>(
 /// [`Camera::direction`] of sixteen pixels.
 #[inline(always)]
 fn directions<S: Simd>(s: S, camera: &Camera, tile: Tile, block: usize) -> [S::F; 3] {
-    let (mut column, mut row) = ([0.0; LANES], [0.0; LANES]);
     let (x, y) = first_pixel(block);
-    for lane in 0..LANES {
-        column[lane] = (tile.x as usize + x + lane % 4) as f32;
-        row[lane] = (tile.y as usize + y + lane / 4) as f32;
-    }
-    directions_at(s, camera, s.load(&column), s.load(&row))
+    // Small whole numbers, so sums are exact.
+    let column = s.add(s.load(&COLUMNS), s.splat((tile.x as usize + x) as f32));
+    let row = s.add(s.load(&ROWS), s.splat((tile.y as usize + y) as f32));
+    directions_at(s, camera, column, row)
 }
 
 /// The same for pixels of these columns and rows of the picture.

@@ -243,6 +243,8 @@ pub enum LanesError {
     Unknown,
     /// This processor does not have these instructions.
     Absent,
+    /// The lanes were left out of this build; the feature that brings them.
+    LeftOut(&'static str),
 }
 
 impl Lanes {
@@ -305,7 +307,12 @@ impl FromStr for Lanes {
     type Err = LanesError;
 
     fn from_str(name: &str) -> Result<Self, LanesError> {
-        let lanes = ALL.iter().copied().find(|lanes| lanes.name() == name).ok_or(LanesError::Unknown)?;
+        let missing = match name {
+            "avx2" => LanesError::LeftOut("lanes-avx2"),
+            "avx512" => LanesError::LeftOut("lanes-avx512"),
+            _ => LanesError::Unknown,
+        };
+        let lanes = ALL.iter().copied().find(|lanes| lanes.name() == name).ok_or(missing)?;
         if lanes.is_available() { Ok(lanes) } else { Err(LanesError::Absent) }
     }
 }
@@ -324,10 +331,13 @@ impl fmt::Debug for Lanes {
 
 impl fmt::Display for LanesError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Unknown => "lanes are portable, avx2 or avx512",
-            Self::Absent => "this processor does not have these instructions",
-        })
+        match self {
+            Self::Unknown => f.write_str("lanes are portable, avx2 or avx512"),
+            Self::Absent => f.write_str("this processor does not have these instructions"),
+            Self::LeftOut(feature) => {
+                write!(f, "these lanes were left out of this build; enable the feature {feature}")
+            }
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 
 /// The widest vectors that a program may use; wider ones are greater.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Level {
+pub(crate) enum Level {
     /// Whatever every processor of this architecture has.
     Portable,
     Avx2,
@@ -11,14 +11,14 @@ pub(super) enum Level {
 
 impl Level {
     /// The levels that are compared here, the widest first.
-    pub(super) fn compared() -> Vec<Self> {
+    pub(crate) fn compared() -> Vec<Self> {
         let here: Vec<Self> =
             [Self::Avx512, Self::Avx2].into_iter().filter(|level| level.is_here()).collect();
         if here.is_empty() { vec![Self::Portable] } else { here }
     }
 
     /// Whether this machine has it.
-    pub(super) fn is_here(self) -> bool {
+    pub(crate) fn is_here(self) -> bool {
         match self {
             Self::Portable => true,
             #[cfg(target_arch = "x86_64")]
@@ -30,7 +30,7 @@ impl Level {
         }
     }
 
-    pub(super) const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Portable => "portable",
             Self::Avx2 => "AVX2",
@@ -39,7 +39,7 @@ impl Level {
     }
 
     /// What Embree is configured with; by itself it takes the widest it finds.
-    pub(super) const fn configuration(self) -> &'static str {
+    pub(crate) const fn configuration(self) -> &'static str {
         match self {
             Self::Portable | Self::Avx512 => "verbose=0",
             Self::Avx2 => "isa=avx2",

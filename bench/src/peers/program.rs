@@ -13,10 +13,10 @@ use crate::experiment::Effort;
 
 /// The programs that could be compiled, one for each Embree.
 #[derive(Debug)]
-pub(super) struct Programs {
+pub(crate) struct Programs {
     programs: Vec<PathBuf>,
     /// What is not here, and how it is installed.
-    pub(super) notes: Vec<String>,
+    pub(crate) notes: Vec<String>,
 }
 
 const SOURCE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/peers/embree.cpp");
@@ -45,7 +45,7 @@ impl Programs {
     ///
     /// # Errors
     /// When our program does not compile although all it needs is here.
-    pub(super) fn compile(folder: &Folder, effort: Effort) -> Result<Self> {
+    pub(crate) fn compile(folder: &Folder, effort: Effort) -> Result<Self> {
         let mut these = Self { programs: Vec::new(), notes: Vec::new() };
         let compiled =
             compile(&folder.path("embree3"), &["-DEMBREE=3".into(), SOURCE.into(), "-lembree3".into()])?;
@@ -67,7 +67,7 @@ impl Programs {
     }
 
     /// Every program at every level.
-    pub(super) fn at_levels(&self, levels: &[Level]) -> impl Iterator<Item = (Level, &Path)> {
+    pub(crate) fn at_levels(&self, levels: &[Level]) -> impl Iterator<Item = (Level, &Path)> {
         levels.iter().flat_map(|&level| self.programs.iter().map(move |program| (level, program.as_path())))
     }
 }

@@ -7,19 +7,19 @@ use anyhow::{Context, Result};
 
 /// A folder in the system's temporary one, removed on drop.
 #[derive(Debug)]
-pub(super) struct Folder {
+pub(crate) struct Folder {
     path: PathBuf,
 }
 
 impl Folder {
-    pub(super) fn create() -> Result<Self> {
-        let path = std::env::temp_dir().join(format!("memsavvy-embree-{}", std::process::id()));
+    pub(crate) fn create(experiment: &str) -> Result<Self> {
+        let path = std::env::temp_dir().join(format!("memsavvy-{experiment}-{}", std::process::id()));
         fs::create_dir_all(&path).with_context(|| format!("cannot write to {}", path.display()))?;
         Ok(Self { path })
     }
 
     /// Where a file of this name goes.
-    pub(super) fn path(&self, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
         Path::new(&self.path).join(name)
     }
 }

@@ -1,33 +1,37 @@
 //! A running `peers/embree.cpp`: a child that draws when it is told to.
 
-use std::io::{BufRead, BufReader, Write};
+use core::fmt;
 use std::path::Path;
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::process::Command;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use rt_core::{Camera, Frame};
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
 
+use super::child::Obedient;
 use super::drawn::Drawn;
 use super::level::Level;
 use super::stopwatch::Elapsed;
 
 /// Embree of one version, with vectors of one width, and its structures over one scene.
 #[derive(Debug)]
-pub(super) struct Peer {
+pub(crate) struct Peer {
     /// "Embree 3.13.5".
-    pub(super) name: String,
-    pub(super) level: Level,
-    child: Child,
-    /// `None` once the child was told to end.
-    requests: Option<ChildStdin>,
-    answers: BufReader<ChildStdout>,
+    pub(crate) name: String,
+    pub(crate) level: Level,
+    program: Obedient,
+}
+
+/// What Embree builds over a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Structure {
+    pub(crate) edges: Edges,
+    pub(crate) quality: Quality,
 }
 
 /// How many rays Embree is asked for at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Mode {
+pub(crate) enum Mode {
     Single,
     Packet8,
     Packet16,
@@ -35,7 +39,7 @@ pub(super) enum Mode {
 
 /// Whether rays may slip through between two triangles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Edges {
+pub(crate) enum Edges {
     /// They may.
     Fast,
     /// They may not, as in ours.
@@ -44,17 +48,17 @@ pub(super) enum Edges {
 
 /// How much care the builder takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Quality {
+pub(crate) enum Quality {
     Medium,
     High,
 }
 
 /// What building took, and Embree's own count of the bytes it then holds.
 #[derive(Clone, Copy, Debug, Deserialize)]
-pub(super) struct Built {
+pub(crate) struct Built {
     #[serde(flatten)]
-    pub(super) time: Elapsed,
-    pub(super) bytes: u64,
+    pub(crate) time: Elapsed,
+    pub(crate) bytes: u64,
 }
 
 /// The first answer.
@@ -66,39 +70,24 @@ struct Hello {
 
 impl Peer {
     /// Starts a program on the scene of a file. Nothing is built yet.
-    pub(super) fn start(program: &Path, scene: &Path, level: Level) -> Result<Self> {
+    pub(crate) fn start(program: &Path, scene: &Path, level: Level) -> Result<Self> {
         let mut command = Command::new(program);
-        command.arg(scene).arg(level.configuration()).stdin(Stdio::piped()).stdout(Stdio::piped());
-        let mut child = command.spawn().with_context(|| format!("cannot start {}", program.display()))?;
-        let requests = child.stdin.take();
-        let answers = BufReader::new(child.stdout.take().context("the peer has no output")?);
-        let mut peer = Self { name: String::new(), level, child, requests, answers };
-        let Hello { version } = peer.answer()?;
-        peer.name = format!("Embree {}.{}.{}", version / 10_000, version / 100 % 100, version % 100);
-        Ok(peer)
+        let name = program.display().to_string();
+        let mut program = Obedient::start(&name, command.arg(scene).arg(level.configuration()))?;
+        let Hello { version } = program.answer()?;
+        let name = format!("Embree {}.{}.{}", version / 10_000, version / 100 % 100, version % 100);
+        program.name = format!("{name} {}", level.name());
+        Ok(Self { name, level, program })
     }
 
     /// Builds a structure anew.
-    pub(super) fn build(&mut self, edges: Edges, quality: Quality) -> Result<Built> {
-        self.ask(&format!("build {} {}", edges.name(), quality.name()))
+    pub(crate) fn build(&mut self, structure: Structure) -> Result<Built> {
+        self.program.ask(&format!("build {structure}"))
     }
 
-    /// Draws a picture with the structure that was built last for such edges.
-    pub(super) fn draw(&mut self, edges: Edges, mode: Mode, frame: &Frame) -> Result<Drawn> {
-        self.ask(&format!("draw {} {} {}", edges.name(), mode.name(), numbers(frame)))
-    }
-
-    fn ask<T: DeserializeOwned>(&mut self, request: &str) -> Result<T> {
-        let requests = self.requests.as_mut().context("the peer was told to end")?;
-        writeln!(requests, "{request}").with_context(|| format!("{} has ended", self.name))?;
-        self.answer()
-    }
-
-    fn answer<T: DeserializeOwned>(&mut self) -> Result<T> {
-        let mut line = String::new();
-        self.answers.read_line(&mut line)?;
-        serde_json::from_str(&line)
-            .with_context(|| format!("{} {} answers {line:?}", self.name, self.level.name()))
+    /// Draws a picture with a structure that was built.
+    pub(crate) fn draw(&mut self, structure: Structure, mode: Mode, frame: &Frame) -> Result<Drawn> {
+        self.program.ask(&format!("draw {structure} {} {}", mode.name(), numbers(frame)))
     }
 }
 
@@ -114,18 +103,16 @@ fn numbers(frame: &Frame) -> String {
     words.join(" ")
 }
 
-impl Drop for Peer {
-    fn drop(&mut self) {
-        // The end of its input ends the program.
-        self.requests = None;
-        let _ = self.child.wait();
+impl fmt::Display for Structure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {}", self.edges.name(), self.quality.name())
     }
 }
 
 impl Mode {
-    pub(super) const ALL: [Self; 3] = [Self::Single, Self::Packet8, Self::Packet16];
+    pub(crate) const ALL: [Self; 3] = [Self::Single, Self::Packet8, Self::Packet16];
 
-    pub(super) const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Single => "single",
             Self::Packet8 => "packet8",
@@ -135,7 +122,11 @@ impl Mode {
 }
 
 impl Edges {
-    pub(super) const fn name(self) -> &'static str {
+    pub(crate) const fn of(self, quality: Quality) -> Structure {
+        Structure { edges: self, quality }
+    }
+
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Fast => "fast",
             Self::Robust => "robust",
@@ -144,7 +135,7 @@ impl Edges {
 }
 
 impl Quality {
-    pub(super) const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Medium => "medium",
             Self::High => "high",
@@ -158,7 +149,7 @@ mod tests {
     use rt_core::{Bounds, Orbit};
 
     use super::*;
-    use crate::embree::ours::without_light;
+    use crate::peers::ours::without_light;
 
     #[test]
     fn a_frame_is_sent_without_loss_and_without_light() {

@@ -2,56 +2,40 @@
 
 use anyhow::{Result, ensure};
 use rt_core::{Flat, Frame, SceneView, TILE_SIZE, TileCounts, Tiles, render_tile};
-use scene::{BuildOptions, Model, build};
 
 use super::drawn::Drawn;
 use super::level::Level;
-use super::stopwatch::{self, Elapsed};
-use super::subject::Subject;
+use super::stopwatch;
 
 /// A kernel of ours, as a competitor.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Kernel(rt_core::Kernel);
-
-const PAGE_BYTES: u32 = 16 << 10;
-
-/// Builds the image of a subject with one thread.
-pub(super) fn prepare(subject: &Subject) -> Result<(Elapsed, Vec<u8>)> {
-    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-    let model = subject.model.clone();
-    let (elapsed, image) = stopwatch::time(|| one.install(|| image_of(model)));
-    Ok((elapsed, image?))
-}
-
-fn image_of(model: Model) -> Result<Vec<u8>> {
-    Ok(build(model, &BuildOptions::default(), &|_| {})?.to_bytes(PAGE_BYTES)?)
-}
+pub(crate) struct Kernel(rt_core::Kernel);
 
 /// The frame without shadow rays: nothing faces a light that is nowhere.
-pub(super) fn without_light(frame: &Frame) -> Frame {
+pub(crate) fn without_light(frame: &Frame) -> Frame {
     Frame { light: [f32::NAN; 3].into(), ..*frame }
 }
 
 impl Kernel {
     /// All that this processor can run.
-    pub(super) fn available() -> impl Iterator<Item = Self> {
+    pub(crate) fn available() -> impl Iterator<Item = Self> {
         rt_core::Kernel::available().map(Self)
     }
 
     /// The kernel that follows one ray at a time, on any processor.
     #[cfg(test)]
-    pub(super) const RAYS: Self = Self(rt_core::Kernel::Rays(rt_core::Lanes::PORTABLE));
+    pub(crate) const RAYS: Self = Self(rt_core::Kernel::Rays(rt_core::Lanes::PORTABLE));
 
-    pub(super) fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         self.0.name()
     }
 
-    pub(super) fn is_ray(self) -> bool {
+    pub(crate) fn is_ray(self) -> bool {
         matches!(self.0, rt_core::Kernel::Rays(_))
     }
 
     /// The vectors that it uses; it is compared with whoever may use as wide ones or wider.
-    pub(super) fn level(self) -> Level {
+    pub(crate) fn level(self) -> Level {
         let (rt_core::Kernel::Rays(lanes) | rt_core::Kernel::Beams(lanes)) = self.0;
         match lanes.name() {
             "avx512" => Level::Avx512,
@@ -61,7 +45,7 @@ impl Kernel {
     }
 
     /// Draws a picture, tile by tile.
-    pub(super) fn draw(
+    pub(crate) fn draw(
         self,
         scene: &SceneView<Flat<'_>>,
         frame: &Frame,

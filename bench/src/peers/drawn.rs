@@ -9,19 +9,19 @@ use super::stopwatch::Elapsed;
 
 /// One picture, or the sum of several.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
-pub(super) struct Drawn {
+pub(crate) struct Drawn {
     #[serde(flatten)]
-    pub(super) time: Elapsed,
+    pub(crate) time: Elapsed,
     /// Rays from the eye.
-    pub(super) primary: u64,
+    pub(crate) primary: u64,
     /// Those that met the scene.
-    pub(super) hits: u64,
+    pub(crate) hits: u64,
     /// Rays towards the light.
-    pub(super) shadow: u64,
+    pub(crate) shadow: u64,
     /// Those that reached it.
-    pub(super) lit: u64,
+    pub(crate) lit: u64,
     /// Sum of the greys of all pixels, in `0..=255` each.
-    pub(super) greys: u64,
+    pub(crate) greys: u64,
 }
 
 impl Drawn {
@@ -30,7 +30,7 @@ impl Drawn {
     /// # Errors
     /// Says which count differs by more than 1 in 10,000. One ray more or less is always allowed, and a grey in
     /// 1,000, since a picture of few pixels may have an odd one.
-    pub(super) fn expect_like(&self, other: &Self) -> Result<()> {
+    pub(crate) fn expect_like(&self, other: &Self) -> Result<()> {
         let counts = |of: &Self| {
             [
                 ("rays from the eye", of.primary, 10_000),

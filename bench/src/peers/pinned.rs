@@ -4,14 +4,14 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// While it lives, this thread and what it starts keep to one core: whoever is compared runs on the same one.
 #[derive(Debug)]
-pub(super) struct Pinned {
+pub(crate) struct Pinned {
     /// The cores allowed before; `None` when the system does not say or refused.
     before: Option<CpuSet>,
 }
 
 impl Pinned {
     /// Keeps to the last core that is allowed: most of what else a system does begins at the first.
-    pub(super) fn to_one_core() -> Self {
+    pub(crate) fn to_one_core() -> Self {
         let before = sched_getaffinity(None).ok().filter(|allowed| {
             let last = (0..CpuSet::MAX_CPU).rev().find(|&core| allowed.is_set(core));
             last.is_some_and(|core| {

@@ -7,15 +7,15 @@ use serde::Deserialize;
 
 /// Time that something took.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
-pub(super) struct Elapsed {
+pub(crate) struct Elapsed {
     /// Processor time of all threads of the process: other programs do not count, helping threads do.
-    pub(super) cpu_ms: f64,
+    pub(crate) cpu_ms: f64,
     /// By the clock on the wall.
-    pub(super) wall_ms: f64,
+    pub(crate) wall_ms: f64,
 }
 
 /// Does something and tells how long it took.
-pub(super) fn time<T>(work: impl FnOnce() -> T) -> (Elapsed, T) {
+pub(crate) fn time<T>(work: impl FnOnce() -> T) -> (Elapsed, T) {
     let now_ms = || {
         [ClockId::ProcessCPUTime, ClockId::Monotonic].map(|clock| {
             let Timespec { tv_sec, tv_nsec } = clock_gettime(clock);
