@@ -3,7 +3,7 @@
 use anyhow::Result;
 
 use crate::findings::Findings;
-use crate::{embree, left_out, paging_core, replacement, scaling, sim, table1};
+use crate::{embree, gather, left_out, paging_core, replacement, scaling, sim, table1};
 
 /// An experiment: its name on the command line, what it shows, how it is run.
 #[derive(Debug)]
@@ -31,6 +31,7 @@ pub(crate) const ALL: &[Experiment] = &[
     sim::EXPERIMENT,
     scaling::EXPERIMENT,
     replacement::EXPERIMENT,
+    gather::EXPERIMENT,
     embree::EXPERIMENT,
     left_out::EXPERIMENT,
 ];

@@ -10,6 +10,7 @@
 //! | [`scaling`] | frame rate over nodes and memory |
 //! | [`paging_core`] | what one fault costs the state machine alone |
 //! | [`replacement`] | misses of the replacement policies, and what prefetch spares |
+//! | [`gather`] | bytes from the nodes to the display, and its time for a tile |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
 //! | [`peers`] | other programs that draw what we draw, and our kernels beside them |
 //! | [`left_out`] | what a scene does not need |
@@ -30,6 +31,7 @@ mod distance;
 mod embree;
 mod experiment;
 mod findings;
+mod gather;
 mod left_out;
 mod machine;
 mod memory;

@@ -153,6 +153,9 @@ struct Cluster {
     /// How pages travel between the processes
     #[arg(long, value_name = "NAME", value_enum, default_value_t = TransportKind::Shm)]
     transport: TransportKind,
+    /// Threads of this process that put the pictures together, each its rows of tiles
+    #[arg(long, value_name = "K", default_value_t = 1)]
+    displays: u16,
     /// Seconds after which a fault that nobody serves, or a process that says nothing, ends the run
     #[arg(long, value_name = "SECONDS", default_value = "5", value_parser = seconds)]
     deadline: Duration,
@@ -394,6 +397,7 @@ impl Render {
             prefetch: !cluster.no_prefetch,
             kernel: cluster.kernel.0,
             transport: cluster.transport,
+            displays: cluster.displays,
             size: view.size,
             session,
             replay,

@@ -9,8 +9,9 @@ use dsm_core::placement::Stripes;
 use fault_linux::{Attached, BackendKind, Record, Region, ThreadStats};
 use rt_core::{Flat, Frame, Kernel, SceneMemory, SceneView, TILE_SIZE, TileId, Tiles, render_tile};
 
-use crate::control::{News, TileBatch};
+use crate::control::News;
 use crate::diagnostic::{FactBatch, Probe, Wants};
+use crate::gather::{Outlets, Sender};
 use crate::link::Link;
 use crate::noted::{Noted, Notes};
 use crate::ports::Port;
@@ -30,6 +31,7 @@ pub(crate) struct Painter {
     pub(crate) region: Arc<Region>,
     pub(crate) port: Port,
     pub(crate) link: Arc<Link>,
+    pub(crate) outlets: Arc<Outlets>,
     pub(crate) jobs: Receiver<Arc<Job>>,
     pub(crate) image_bytes: u64,
     pub(crate) kernel: Kernel,
@@ -65,13 +67,15 @@ impl Job {
 impl Painter {
     /// Draws job after job until there are no more, or a page cannot be had.
     pub(crate) fn run(self) -> Result<ThreadStats> {
-        let Self { region, port, link, jobs, image_bytes, kernel, batch_tiles, wants, placement } = self;
+        let Self { region, port, link, outlets, jobs, image_bytes, kernel, batch_tiles, wants, placement } =
+            self;
         let attached = region.attach(port)?;
         let notes = Notes::new(u32::try_from(region.page_bytes())?, image_bytes);
         let canvas = Canvas {
             attached: &attached,
             notes: &notes,
             link: &link,
+            outlets: &outlets,
             jobs: &jobs,
             kernel,
             batch_tiles,
@@ -95,6 +99,7 @@ struct Canvas<'a> {
     attached: &'a Attached<Port>,
     notes: &'a Notes,
     link: &'a Link,
+    outlets: &'a Outlets,
     jobs: &'a Receiver<Arc<Job>>,
     kernel: Kernel,
     batch_tiles: u16,
@@ -108,9 +113,10 @@ impl Canvas<'_> {
         // A header of zeros is what a page that could not be had looks like; that failure comes first.
         self.attached.check()?;
         let scene = scene.context("the scene image")?;
+        let mut sender = Sender::new(self.outlets, self.batch_tiles);
         let mut probe = Probe::new(self.wants, memory, self.placement, self.attached.region().page_bytes())?;
         while let Ok(job) = self.jobs.recv() {
-            self.draw(&scene, &job, &mut probe)?;
+            self.draw(&scene, &job, &mut sender, &mut probe)?;
         }
         Ok(())
     }
@@ -119,10 +125,12 @@ impl Canvas<'_> {
         &self,
         scene: &SceneView<M>,
         job: &Job,
+        sender: &mut Sender<'_>,
         probe: &mut Probe<N>,
     ) -> Result<()> {
-        let frame = job.frame.number;
-        let (mut batch, mut batched) = (TileBatch::new(frame), 0);
+        let (frame, columns) = (job.frame.number, job.tiles.columns());
+        // Nothing leaves that a page may have been made of that could not be had.
+        let check = || -> Result<()> { Ok(self.attached.check()?) };
         let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
         while let Some(id) = job.take() {
             let Some(tile) = job.tiles.get(id) else { continue };
@@ -133,14 +141,9 @@ impl Canvas<'_> {
             let facts = probe.end_tile(&job.frame, (id, tile), || self.attached.misses());
             self.notes.take(|pages| self.attached.end_tile(id.0, pages));
             self.tell(facts)?;
-            if batched == self.batch_tiles || !batch.push(id, pixels, &counts) {
-                self.send(core::mem::replace(&mut batch, TileBatch::new(frame)))?;
-                batch.push(id, pixels, &counts);
-                batched = 0;
-            }
-            batched += 1;
+            sender.push(frame, columns, (id, tile), (pixels, &counts), check)?;
         }
-        self.send(batch)?;
+        sender.flush(check)?;
         self.tell(probe.rest())?;
         self.link.send(&News::Drawn(frame).to_packet()?)?;
         Ok(())
@@ -149,15 +152,6 @@ impl Canvas<'_> {
     /// Sends what is known of some tiles, if anything is.
     fn tell(&self, facts: Option<FactBatch>) -> Result<()> {
         facts.map_or(Ok(()), |facts| Ok(self.link.send(&News::Facts(facts).to_packet()?)?))
-    }
-
-    /// Sends tiles, unless a page that they may be made of could not be had.
-    fn send(&self, batch: TileBatch) -> Result<()> {
-        self.attached.check()?;
-        if !batch.is_empty() {
-            self.link.send(&News::Tiles(batch).to_packet()?)?;
-        }
-        Ok(())
     }
 }
 

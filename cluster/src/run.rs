@@ -23,6 +23,7 @@ pub use crate::scene_source::{Source, VolumeInput};
 
 use crate::control::{Files, SetUp};
 use crate::diagnostic::{Diagnostic, FrameFacts, Wants, sheet_of, sheet_of_all};
+use crate::gather::{DISPLAYS_MAX, Gathered};
 use crate::isovalue::Surfaces;
 use crate::plan::{Demand, Plan};
 use crate::progress::FrameBar;
@@ -63,6 +64,8 @@ pub struct Options {
     pub kernel: Option<Kernel>,
     /// How pages travel.
     pub transport: TransportKind,
+    /// Threads that put pictures together, each a part of them.
+    pub displays: u16,
     /// The picture's size.
     pub size: PictureSize,
     /// What is looked at, moment by moment.
@@ -109,6 +112,7 @@ impl Default for Options {
             prefetch: true,
             kernel: None,
             transport: TransportKind::Shm,
+            displays: 1,
             size: PictureSize { width: 512, height: 512 },
             session: Session::default(),
             replay: Replay::Frames,
@@ -133,7 +137,7 @@ pub struct Shown<'a> {
     pub moment: u32,
     /// The frame.
     pub picture: &'a Picture,
-    facts: &'a FrameFacts,
+    facts: Option<&'a FrameFacts>,
     diagnostics: &'a [Diagnostic],
 }
 
@@ -172,6 +176,7 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(&Shown<'_>) -> Result<()>
         size: [size.width, size.height],
         transport: serde_json::to_value(options.transport)?.as_str().unwrap_or_default().to_owned(),
         totals: Totals::of(&frames, &nodes),
+        displays: options.displays,
         frames,
         nodes,
         replicas: options.replicas,
@@ -259,6 +264,7 @@ impl Run {
             image: image.into(),
             pages: pages.collect::<Result<_>>()?,
             inboxes: inboxes.collect::<Result<_>>()?,
+            displays: Vec::new(),
         })
     }
 
@@ -289,6 +295,7 @@ impl Run {
             deadline_us: u64::try_from(options.deadline.as_micros()).unwrap_or(u64::MAX),
             lose_per_mille: options.lose_per_mille,
             seed: options.seed,
+            displays: options.displays,
             wants: Wants {
                 facts: !options.diagnostics.is_empty(),
                 owners: options.diagnostics.contains(&Diagnostic::PageOwner),
@@ -340,6 +347,9 @@ impl Options {
         if self.threads.is_some_and(|threads| threads.get() > THREADS_MAX) {
             bail!("a node has at most {THREADS_MAX} render threads");
         }
+        if !(1..=DISPLAYS_MAX).contains(&self.displays) {
+            bail!("--displays is a number from 1 to {DISPLAYS_MAX}; got {}", self.displays);
+        }
         if self.deadline.is_zero() {
             bail!("--deadline 0 leaves no time for anything");
         }
@@ -370,6 +380,7 @@ impl Shown<'_> {
     pub fn write(&self, path: &Path) -> Result<()> {
         let Self { picture, facts, diagnostics, .. } = self;
         picture.write(path)?;
+        let Some(facts) = facts else { return Ok(()) };
         for kind in *diagnostics {
             sheet_of(*kind, picture, facts).write(&beside(path, kind.name()))?;
         }
@@ -391,23 +402,27 @@ fn beside(path: &Path, kind: &str) -> PathBuf {
 
 impl Drawing {
     fn shown<'a>(&'a self, moment: u32, diagnostics: &'a [Diagnostic]) -> Shown<'a> {
-        Shown { moment, picture: &self.picture, facts: &self.facts, diagnostics }
+        Shown { moment, picture: &self.gathered.picture, facts: self.facts.as_ref(), diagnostics }
     }
 
     /// What is told of the frame, which showed a moment of this number and time and these isosurfaces.
     fn report(&self, moment: u32, time: f64, isosurfaces: &[Isosurface]) -> FrameReport {
+        let Gathered { picture, counts, traffic } = &self.gathered;
         FrameReport {
-            frame: self.counts.frame,
+            frame: counts.frame,
             moment,
             time,
             isovalues: isosurfaces.iter().map(|surface| surface.value).collect(),
             ms: self.ms,
-            image_hash: self.picture.hash(),
-            primary_rays: self.counts.primary_rays,
-            hits: self.counts.hits,
-            shadow_rays: self.counts.shadow_rays,
-            lit: self.counts.lit,
-            damaged_pixels: self.counts.damaged,
+            image_hash: picture.hash(),
+            primary_rays: counts.primary_rays,
+            hits: counts.hits,
+            shadow_rays: counts.shadow_rays,
+            lit: counts.lit,
+            damaged_pixels: counts.damaged,
+            gather_ms: traffic.busy_ns as f64 / 1e6,
+            gather_bytes: traffic.bytes,
+            changed_tiles: traffic.changed_tiles,
         }
     }
 }

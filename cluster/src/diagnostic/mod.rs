@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `facts` | what is known of each tile of a frame, and how it travels |
 //! | `probe` | a render thread's side: measuring a tile, finding the page behind each pixel |
+//! | `bricks` | of a volume, the brick behind a pixel |
 //! | `panel` | from facts to colours and legends |
 //! | `sheet` | panels side by side in one picture |
 //! | `letters` | small letters for legends |
@@ -11,6 +12,11 @@
 //! The first two kinds are Figures 3 and 4 of DeMarle, Gribble and Parker, "Memory-Savvy Distributed Interactive Ray
 //! Tracing", EGPGV 2004. Nothing is measured or sent that was not asked for.
 
+#[cfg(feature = "volumes")]
+mod bricks;
+#[cfg(not(feature = "volumes"))]
+#[path = "no_bricks.rs"]
+mod bricks;
 mod facts;
 mod letters;
 mod panel;

@@ -7,9 +7,10 @@ use anyhow::{Context, Result};
 use dsm_core::id::PageId;
 use dsm_core::placement::Stripes;
 use rt_core::image::Segment;
-use rt_core::{Frame, ISOVALUES_MAX, Isosurfaces, Primitive, Ray, SceneMemory, SceneView, Tile, TileId};
+use rt_core::{Frame, Hit, Primitive, Ray, SceneMemory, SceneView, Tile, TileId};
 use serde::{Deserialize, Serialize};
 
+use super::bricks::Bricks;
 use super::facts::{FactBatch, TileFacts};
 
 /// What is to be found out of each tile.
@@ -39,7 +40,7 @@ struct Owners<M> {
 
 /// A scene's memory that tells where the last record of a segment was read.
 #[derive(Debug)]
-struct LastRead<M> {
+pub(super) struct LastRead<M> {
     memory: M,
     segment: Cell<Segment>,
     last: Cell<u64>,
@@ -100,37 +101,31 @@ impl<M: SceneMemory> Owners<M> {
 
     /// Adds for each pixel of a tile the owner of the page behind it plus one, 0 where nothing is hit.
     fn of_tile(&self, frame: &Frame, tile: Tile, owners: &mut Vec<u8>) {
-        let mut values = [0.0; ISOVALUES_MAX];
-        let surfaces = frame.isosurfaces();
-        values.iter_mut().zip(surfaces).for_each(|(value, surface)| *value = surface.value);
-        let isosurfaces = self.scene.isosurfaces(&values[..surfaces.len()], frame.solver()).ok().flatten();
+        let bricks = Bricks::new(&self.scene, frame);
         for y in tile.y..tile.y + tile.height {
             let row = frame.camera.row(y);
             for x in tile.x..tile.x + tile.width {
                 let direction = frame.camera.direction(row, x);
                 let ray = Ray { origin: frame.camera.eye, direction, t_max: f32::INFINITY };
-                owners.push(self.behind(&ray, isosurfaces.as_ref()).map_or(0, |offset| self.owner(offset)));
+                owners.push(self.behind(&ray, &bricks).map_or(0, |offset| self.owner(offset)));
             }
         }
     }
 
     /// Where in the image that lies which a ray sees.
-    fn behind(&self, ray: &Ray, isosurfaces: Option<&Isosurfaces<'_, LastRead<M>>>) -> Option<u64> {
+    fn behind(&self, ray: &Ray, bricks: &Bricks<'_, M>) -> Option<u64> {
         let surface = self.surface_behind(ray);
         let t_max = surface.map_or(ray.t_max, |(t, _)| t);
-        let volume =
-            isosurfaces.and_then(|isosurfaces| self.brick_behind(&Ray { t_max, ..*ray }, isosurfaces));
-        volume.or(surface.map(|(_, offset)| offset))
+        bricks.behind(&Ray { t_max, ..*ray }).or(surface.map(|(_, offset)| offset))
     }
 
     /// The nearest triangle or sphere, and where the cluster lies that it was found in.
     fn surface_behind(&self, ray: &Ray) -> Option<(f32, u64)> {
-        let memory = self.scene.memory();
-        memory.segment.set(self.scene.header().segments.clusters);
+        let read = self.scene.memory().of(self.scene.header().segments.clusters);
         // Whoever is offered has just been read. The nearest may be offered before others at the same distance.
         let mut offered: Vec<(Primitive, u64)> = Vec::new();
-        let note = |hit: &rt_core::Hit| {
-            offered.push((hit.primitive, memory.last.get()));
+        let note = |hit: &Hit| {
+            offered.push((hit.primitive, read.last()));
             true
         };
         let hit = self.scene.nearest_filtered(ray, note, &mut ()).ok()??;
@@ -138,18 +133,23 @@ impl<M: SceneMemory> Owners<M> {
         Some((hit.t, found.1))
     }
 
-    /// The brick in which the ray ends.
-    fn brick_behind(&self, ray: &Ray, isosurfaces: &Isosurfaces<'_, LastRead<M>>) -> Option<u64> {
-        let memory = self.scene.memory();
-        memory.segment.set(self.scene.header().segments.bricks);
-        isosurfaces.nearest(ray, &mut ()).ok()??;
-        Some(memory.last.get())
-    }
-
     fn owner(&self, offset: u64) -> u8 {
         let page = u32::try_from(offset / self.page_bytes as u64).ok().map(PageId);
         let home = page.and_then(|page| self.placement.home(page));
         home.and_then(|home| u8::try_from(home.0 + 1).ok()).unwrap_or(0)
+    }
+}
+
+impl<M> LastRead<M> {
+    /// From now on looks at records of that segment.
+    pub(super) fn of(&self, segment: Segment) -> &Self {
+        self.segment.set(segment);
+        self
+    }
+
+    /// Where in the image the last record of the segment begins.
+    pub(super) const fn last(&self) -> u64 {
+        self.last.get()
     }
 }
 

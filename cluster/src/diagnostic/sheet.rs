@@ -47,6 +47,9 @@ const POINT: usize = 2;
 const LINE: usize = ROWS * POINT + 6;
 const GAP: usize = 8;
 
+/// Width and height of a colour before its name.
+const SWATCH: [usize; 2] = [LINE - GAP / 2, ROWS * POINT];
+
 impl Colours {
     /// A picture of one colour.
     pub(super) fn new(width: usize, height: usize, colour: Colour) -> Self {
@@ -168,7 +171,9 @@ impl Legend {
                 let (columns, step) = (Self::columns(names, width), Self::entry_width(names) + GAP);
                 for (index, (colour, name)) in names.iter().enumerate() {
                     let (x, y) = (left + index % columns * step, top + index / columns * LINE);
-                    sheet.fill([x, y], [LINE - GAP / 2, ROWS * POINT], *colour);
+                    // White would not show on paper.
+                    sheet.fill([x, y], SWATCH, INK);
+                    sheet.fill([x + 1, y + 1], SWATCH.map(|side| side - 2), *colour);
                     sheet.write_text([x + LINE, y], name);
                 }
             }
@@ -204,7 +209,7 @@ mod tests {
         assert_eq!(of_pictures, 50 * 20 + 3 * 40 + 200 * 9);
         for index in 0..5 {
             let swatch = sheet.pixels.iter().filter(|pixel| **pixel == [index, 0, 0]).count();
-            assert!(swatch >= (LINE - GAP / 2) * ROWS * POINT, "{index}: {swatch}");
+            assert!(swatch >= (SWATCH[0] - 2) * (SWATCH[1] - 2), "{index}: {swatch}");
         }
         assert!(sheet.pixels.contains(&[1; 3]) && sheet.pixels.contains(&[2; 3]));
         assert_eq!(sheet.pixels.len() % sheet.width, 0);
