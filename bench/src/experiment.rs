@@ -3,7 +3,7 @@
 use anyhow::Result;
 
 use crate::findings::Findings;
-use crate::{embree, fig5, iso, iso_error, left_out, paging_core, replacement, scaling, sim, table1};
+use crate::{embree, fig5, gather, iso, iso_error, left_out, paging_core, replacement, scaling, sim, table1};
 
 /// An experiment: its name on the command line, what it shows, how it is run.
 #[derive(Debug)]
@@ -32,6 +32,7 @@ pub(crate) const ALL: &[Experiment] = &[
     scaling::EXPERIMENT,
     fig5::EXPERIMENT,
     replacement::EXPERIMENT,
+    gather::EXPERIMENT,
     embree::EXPERIMENT,
     left_out::EXPERIMENT,
     iso_error::EXPERIMENT,

@@ -10,6 +10,7 @@
 //! | [`scaling`] | frame rate over nodes and memory |
 //! | [`paging_core`] | what one fault costs the state machine alone |
 //! | [`replacement`] | misses of the replacement policies, and what prefetch spares |
+//! | [`gather`] | bytes from the nodes to the display, and its time for a tile |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
 //! | [`peers`] | other programs that draw what we draw, and our kernels beside them |
 //! | [`fig5`] | a session on a volume, as in the paper's Figure 5 |
@@ -34,6 +35,7 @@ mod embree;
 mod experiment;
 mod fig5;
 mod findings;
+mod gather;
 mod iso;
 mod iso_error;
 mod left_out;

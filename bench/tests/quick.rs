@@ -26,9 +26,19 @@ fn names() -> Vec<String> {
 #[test]
 fn every_experiment_runs_and_writes_what_it_found() {
     let names = names();
-    for expected in
-        ["table1", "core", "sim", "scaling", "fig5", "replacement", "embree", "left-out", "iso-error", "iso"]
-    {
+    for expected in [
+        "table1",
+        "core",
+        "sim",
+        "scaling",
+        "fig5",
+        "replacement",
+        "gather",
+        "embree",
+        "left-out",
+        "iso-error",
+        "iso",
+    ] {
         assert!(names.iter().any(|name| name == expected), "{names:?}");
     }
     for name in names {

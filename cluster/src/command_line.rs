@@ -20,6 +20,7 @@ use scene::{Info, SceneFile};
 
 use crate::control::{BindTo, Prefetch, TransportKind};
 use crate::describe::{describe_histogram, describe_volume};
+use crate::diagnostic::Diagnostic;
 use crate::output::{Destination, check_folder_of, write_whole};
 use crate::report::{RunReport, counted, thousands};
 use crate::run::{HIDDEN_PER_CENT, Kill, Options, Source, Surface, run};
@@ -67,6 +68,7 @@ Examples:
   memsavvy render dragon.msv -o orbit-%03d.png --frames 36 --radius 0.75
   memsavvy render dragon.msv -o walk-%03d.png --session walk.jsonl
   memsavvy render dragon.msv --nodes 2 --stores 2 --memory 16% --report run.json
+  memsavvy render dragon.msv -o out.png --diagnostic tile-owner,page-owner,misses,cost
   memsavvy render dragon.msv --nodes 4 --memory 5M --page 4K --backend segv --replacement fifo")]
 struct Render {
     /// A mesh (PLY, OBJ), a volume (NRRD, NIfTI, VTI, raw:FILE?dims=XxYxZ&type=u8), a scene image made by `memsavvy
@@ -89,6 +91,11 @@ struct Output {
     /// The picture to write, PNG: the last frame, or each with a pattern like out-%03d.png
     #[arg(short, long, value_name = "FILE")]
     output: Option<String>,
+    /// Write pictures of what happens beside each picture, out.misses.png beside out.png and so on, and with several all
+    /// side by side in out.diagnostic.png. page-owner traces a ray more for each pixel, whose misses are not counted but
+    /// change what is in the caches
+    #[arg(long, value_name = "KIND,...", value_enum, value_delimiter = ',', requires = "output")]
+    diagnostic: Vec<Diagnostic>,
     /// Write the run report as JSON
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
@@ -147,6 +154,9 @@ struct Cluster {
     /// How pages travel between the processes
     #[arg(long, value_name = "NAME", value_enum, default_value_t = TransportKind::Shm)]
     transport: TransportKind,
+    /// Threads of this process that put the pictures together, each its rows of tiles
+    #[arg(long, value_name = "K", default_value_t = 1)]
+    displays: u16,
     /// Seconds after which a fault that nobody serves, or a process that says nothing, ends the run
     #[arg(long, value_name = "SECONDS", default_value = "5", value_parser = seconds)]
     deadline: Duration,
@@ -388,6 +398,7 @@ impl Render {
             prefetch: cluster.prefetch,
             kernel: cluster.kernel.0,
             transport: cluster.transport,
+            displays: cluster.displays,
             size: view.size,
             session,
             replay,
@@ -397,6 +408,7 @@ impl Render {
             lose_per_mille: cluster.lose,
             replicas: cluster.replicas,
             kills: cluster.kill,
+            diagnostics: output.diagnostic.clone(),
             seed: cluster.seed,
             quiet: output.quiet,
             command,
@@ -419,9 +431,9 @@ fn render(options: &Options, output: Option<&str>) -> Result<RunReport> {
     let moments = options.session.count();
     let last = destination.as_ref().and_then(|destination| destination.path(moments - 1, moments));
     last.map_or(Ok(()), |path| check_folder_of(&path))?;
-    run(options, |moment, picture| {
-        let path = destination.as_ref().and_then(|destination| destination.path(moment, moments));
-        path.map_or(Ok(()), |path| picture.write(&path))
+    run(options, |shown| {
+        let path = destination.as_ref().and_then(|destination| destination.path(shown.moment, moments));
+        path.map_or(Ok(()), |path| shown.write(&path))
     })
 }
 

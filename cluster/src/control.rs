@@ -3,10 +3,10 @@
 //! A packet is one letter and what belongs to it: JSON where people may want to look, bytes where there are many.
 
 use anyhow::{Context, Result, bail};
-use rt_core::{Frame, Tile, TileCounts, TileId, Tiles};
+use rt_core::{Frame, TileCounts, TileId};
 use serde::{Deserialize, Serialize};
 
-use crate::link::PACKET_BYTES_MAX;
+use crate::diagnostic::{FactBatch, Wants};
 use crate::plan::PlacementNumbers;
 use crate::report::ProcessReport;
 
@@ -34,8 +34,8 @@ pub(crate) enum News {
     Ready,
     /// Nothing has happened, and I am here.
     Alive,
-    /// Some tiles of a frame.
-    Tiles(TileBatch),
+    /// What is known of some tiles of a frame, where somebody wants to know.
+    Facts(FactBatch),
     /// One thread has sent all that it has drawn for one order, of this frame.
     Drawn(u32),
     /// I have to give up.
@@ -72,8 +72,12 @@ pub(crate) struct SetUp {
     /// Messages lost on purpose, in a thousand, and the seed of which.
     pub(crate) lose_per_mille: u32,
     pub(crate) seed: u64,
-    /// Tiles sent at a time at most; fewer than a packet holds for tests that count them.
+    /// Displays that the tiles go to.
+    pub(crate) displays: u16,
+    /// Tiles sent at a time at most; fewer than a parcel holds for tests that count them.
     pub(crate) batch_tiles: u16,
+    /// What is to be found out of each tile.
+    pub(crate) wants: Wants,
 }
 
 /// Which pages come before they are touched.
@@ -108,19 +112,14 @@ pub enum BindTo {
     None,
 }
 
-/// The order of the files that come with [`Order::SetUp`]: the image, the pages of each owner, the inboxes of each.
+/// The order of the files that come with [`Order::SetUp`]: the image, the pages of each owner, the inboxes of each, and
+/// for a node that renders its links to the displays.
 #[derive(Debug)]
 pub(crate) struct Files<T> {
     pub(crate) image: T,
     pub(crate) pages: Vec<T>,
     pub(crate) inboxes: Vec<T>,
-}
-
-/// Tiles of one frame, packed into a packet, and what was counted while they were drawn.
-#[derive(Debug, Default)]
-pub(crate) struct TileBatch {
-    drawn: Drawn,
-    bytes: Vec<u8>,
+    pub(crate) displays: Vec<T>,
 }
 
 /// What was counted while tiles of a frame were drawn.
@@ -175,7 +174,7 @@ impl News {
         Ok(match self {
             Self::Ready => vec![b'R'],
             Self::Alive => vec![b'A'],
-            Self::Tiles(batch) => batch.to_packet(),
+            Self::Facts(batch) => batch.to_packet(b'I'),
             Self::Drawn(frame) => [&b"D"[..], &frame.to_le_bytes()].concat(),
             Self::Failed(why) => [b"F", why.as_bytes()].concat(),
             Self::Report(report) => with_json(b'P', report)?,
@@ -186,7 +185,7 @@ impl News {
         match packet {
             [b'R'] => Ok(Self::Ready),
             [b'A'] => Ok(Self::Alive),
-            [b'T', rest @ ..] => Ok(Self::Tiles(TileBatch::from_bytes(rest)?)),
+            [b'I', rest @ ..] => Ok(Self::Facts(FactBatch::from_bytes(rest)?)),
             [b'D', f0, f1, f2, f3] => Ok(Self::Drawn(u32::from_le_bytes([*f0, *f1, *f2, *f3]))),
             [b'F', why @ ..] => Ok(Self::Failed(String::from_utf8_lossy(why).into_owned())),
             [b'P', json @ ..] => Ok(Self::Report(serde_json::from_slice(json)?)),
@@ -198,88 +197,29 @@ impl News {
 impl<T> Files<T> {
     /// All of them, in the order in which they travel.
     pub(crate) fn iter(&self) -> impl Iterator<Item = &T> {
-        core::iter::once(&self.image).chain(&self.pages).chain(&self.inboxes)
+        core::iter::once(&self.image).chain(&self.pages).chain(&self.inboxes).chain(&self.displays)
     }
 
     /// Sorts what came with the plan into its places.
-    pub(crate) fn from_list(list: Vec<T>, owners: usize, transport: TransportKind) -> Result<Self> {
-        let inboxes = if transport == TransportKind::ShmRing { owners } else { 0 };
+    pub(crate) fn from_list(list: Vec<T>, owners: usize, set_up: &SetUp) -> Result<Self> {
+        let inboxes = if set_up.transport == TransportKind::ShmRing { owners } else { 0 };
+        let displays = if set_up.node < set_up.nodes { set_up.displays.into() } else { 0 };
         let got = list.len();
         let mut list = list.into_iter();
         let image = list.next().context("the image did not come with the plan")?;
         let pages: Vec<T> = list.by_ref().take(owners).collect();
         let inboxes: Vec<T> = list.by_ref().take(inboxes).collect();
+        let displays: Vec<T> = list.by_ref().take(displays).collect();
         if pages.len() != owners || list.next().is_some() {
             bail!("{got} files came with a plan for {owners} owners");
         }
-        Ok(Self { image, pages, inboxes })
+        Ok(Self { image, pages, inboxes, displays })
     }
-}
-
-impl TileBatch {
-    /// An empty batch for a frame.
-    pub(crate) fn new(frame: u32) -> Self {
-        Self { drawn: Drawn { frame, ..Drawn::default() }, bytes: Vec::new() }
-    }
-
-    /// Adds a tile and what was counted for it, unless the packet would become too large.
-    pub(crate) fn push(&mut self, TileId(id): TileId, pixels: &[u8], counts: &TileCounts) -> bool {
-        let header = 1 + Drawn::BYTES;
-        if header + self.bytes.len() + size_of::<u32>() + pixels.len() > PACKET_BYTES_MAX {
-            return false;
-        }
-        self.bytes.extend(id.to_le_bytes());
-        self.bytes.extend(pixels);
-        self.drawn.add(counts);
-        true
-    }
-
-    pub(crate) const fn is_empty(&self) -> bool {
-        self.bytes.is_empty()
-    }
-
-    /// What was counted while these tiles were drawn.
-    pub(crate) const fn drawn(&self) -> &Drawn {
-        &self.drawn
-    }
-
-    fn to_packet(&self) -> Vec<u8> {
-        [&b"T"[..], &self.drawn.to_bytes(), &self.bytes].concat()
-    }
-
-    fn from_bytes(bytes: &[u8]) -> Result<Self> {
-        let (drawn, tiles) = bytes.split_first_chunk().context("half a batch of tiles")?;
-        Ok(Self { drawn: Drawn::from_bytes(drawn), bytes: tiles.to_vec() })
-    }
-
-    /// The tiles in it, for a picture cut as `tiles` says.
-    ///
-    /// # Errors
-    /// A tile that is none of the picture's, or half a tile.
-    pub(crate) fn tiles(&self, tiles: Tiles) -> impl Iterator<Item = Result<(TileId, Tile, &[u8])>> {
-        let mut rest = &self.bytes[..];
-        core::iter::from_fn(move || {
-            if rest.is_empty() {
-                return None;
-            }
-            let taken = take_tile(rest, tiles);
-            rest = taken.as_ref().map_or(&[][..], |(_, _, _, rest)| rest);
-            Some(taken.map(|(id, tile, pixels, _)| (id, tile, pixels)))
-        })
-    }
-}
-
-fn take_tile(bytes: &[u8], tiles: Tiles) -> Result<(TileId, Tile, &[u8], &[u8])> {
-    let (id, rest) = bytes.split_first_chunk::<4>().context("half a tile's number")?;
-    let id = TileId(u32::from_le_bytes(*id));
-    let tile = tiles.get(id).with_context(|| format!("tile {} of a picture that has fewer", id.0))?;
-    let (pixels, rest) = rest.split_at_checked(tile.pixels()).context("half a tile")?;
-    Ok((id, tile, pixels, rest))
 }
 
 impl Drawn {
     /// Length of the counts in a packet.
-    const BYTES: usize = 4 + 5 * 8;
+    pub(crate) const BYTES: usize = 4 + 5 * 8;
 
     /// Adds what was counted for other tiles of the frame.
     pub(crate) const fn merge(&mut self, other: &Self) {
@@ -290,7 +230,7 @@ impl Drawn {
         self.damaged += other.damaged;
     }
 
-    fn to_bytes(self) -> [u8; Self::BYTES] {
+    pub(crate) fn to_bytes(self) -> [u8; Self::BYTES] {
         let mut bytes = [0; Self::BYTES];
         let (frame, counts) = bytes.split_at_mut(4);
         frame.copy_from_slice(&self.frame.to_le_bytes());
@@ -301,7 +241,7 @@ impl Drawn {
         bytes
     }
 
-    fn from_bytes(bytes: &[u8; Self::BYTES]) -> Self {
+    pub(crate) fn from_bytes(bytes: &[u8; Self::BYTES]) -> Self {
         let [f0, f1, f2, f3, counts @ ..] = bytes;
         let mut counts = counts.as_chunks::<8>().0.iter().map(|count| u64::from_le_bytes(*count));
         let mut next = || counts.next().unwrap_or_default();
@@ -315,7 +255,7 @@ impl Drawn {
         }
     }
 
-    fn add(&mut self, counts: &TileCounts) {
+    pub(crate) const fn add(&mut self, counts: &TileCounts) {
         self.primary_rays += counts.primary;
         self.hits += counts.hits;
         self.shadow_rays += counts.shadow;
@@ -333,56 +273,13 @@ fn with_json(letter: u8, value: &impl Serialize) -> Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rt_core::TILE_SIZE;
-
-    #[test]
-    fn tiles_travel_in_packets_that_fit() {
-        let tiles = Tiles::of(3 * TILE_SIZE - 5, 2 * TILE_SIZE - 9);
-        let counts = TileCounts { primary: 1, hits: 2, shadow: 3, lit: 4, damaged: 5, t_sum: 0.0 };
-        let mut batch = TileBatch::new(7);
-        for id in tiles.ids() {
-            let pixels = vec![u8::try_from(id.0).unwrap(); tiles.get(id).unwrap().pixels()];
-            assert!(batch.push(id, &pixels, &counts));
-        }
-        let News::Tiles(batch) = News::from_packet(&News::Tiles(batch).to_packet().unwrap()).unwrap() else {
-            panic!("tiles became something else");
-        };
-        let drawn = Drawn { frame: 7, primary_rays: 6, hits: 12, shadow_rays: 18, lit: 24, damaged: 30 };
-        assert_eq!(*batch.drawn(), drawn);
-        let found: Vec<_> = batch.tiles(tiles).map(Result::unwrap).collect();
-        assert_eq!(found.len(), 6);
-        for (id, tile, pixels) in found {
-            assert_eq!(Some(tile), tiles.get(id));
-            assert!(pixels.iter().all(|pixel| u32::from(*pixel) == id.0));
-        }
-    }
-
-    #[test]
-    fn a_full_batch_takes_no_more() {
-        let mut batch = TileBatch::new(0);
-        let pixels = [0; 256];
-        let pushed =
-            (0..1000).take_while(|id| batch.push(TileId(*id), &pixels, &TileCounts::default())).count();
-        assert_eq!(pushed, (PACKET_BYTES_MAX - 1 - Drawn::BYTES) / 260);
-        assert!(News::Tiles(batch).to_packet().unwrap().len() <= PACKET_BYTES_MAX);
-    }
-
-    #[test]
-    fn half_a_tile_and_a_tile_of_another_picture_are_errors() {
-        let tiles = Tiles::of(TILE_SIZE, TILE_SIZE);
-        for bytes in [&[0, 0, 0][..], &[0, 0, 0, 0, 1, 2], &[9, 0, 0, 0]] {
-            let batch = TileBatch { drawn: Drawn::default(), bytes: bytes.to_vec() };
-            assert!(batch.tiles(tiles).next().unwrap().is_err());
-            assert_eq!(batch.tiles(tiles).count(), 1);
-        }
-    }
 
     #[test]
     fn packets_that_are_none_are_errors() {
         for packet in [&b""[..], b"Z", b"S{", b"Dxx", b"GG", b"Txx", b"N", b"N123"] {
             assert!(Order::from_packet(packet).is_err());
         }
-        for packet in [&b""[..], b"T12", b"P[]", b"RR"] {
+        for packet in [&b""[..], b"T12", b"P[]", b"RR", b"I12", b"D123"] {
             assert!(News::from_packet(packet).is_err());
         }
     }

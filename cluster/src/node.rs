@@ -25,6 +25,7 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use transport_shm::{HeldPages, Server, now};
 
 use crate::control::{Files, News, Order, Prefetch, SetUp};
+use crate::gather::Outlets;
 use crate::link::Link;
 use crate::painter::{Job, Painter};
 use crate::ports::{EPOCH, Routes, layout};
@@ -67,6 +68,7 @@ struct Process {
     set_up: SetUp,
     link: Arc<Link>,
     routes: Routes,
+    outlets: Arc<Outlets>,
     image: OwnedFd,
     placement: Stripes,
     baseline_resident_bytes: u64,
@@ -98,11 +100,19 @@ impl Process {
         };
         let placement = set_up.placement.placement()?;
         let owners = usize::from(placement.owner_count());
-        let Files { image, pages, inboxes } = Files::from_list(packet.files, owners, set_up.transport)?;
+        let Files { image, pages, inboxes, displays } = Files::from_list(packet.files, owners, &set_up)?;
+        let outlets = Arc::new(Outlets::new(displays.into_iter().map(Link::from_socket).collect()));
         let routes = Routes::new(&set_up, placement, pages, inboxes)?;
         say_alive(link, set_up.deadline_us)?;
-        let process =
-            Self { set_up: *set_up, link: link.clone(), routes, image, placement, baseline_resident_bytes };
+        let process = Self {
+            set_up: *set_up,
+            link: link.clone(),
+            routes,
+            outlets,
+            image,
+            placement,
+            baseline_resident_bytes,
+        };
         process.fill_home().context("cannot read the scene image")?;
         link.send(&News::Ready.to_packet()?)?;
         Ok(process)
@@ -178,10 +188,13 @@ impl Process {
                 region: region.clone(),
                 port: self.routes.port(thread)?,
                 link: self.link.clone(),
+                outlets: self.outlets.clone(),
                 jobs,
                 image_bytes: self.set_up.image_bytes,
                 kernel,
                 batch_tiles: self.set_up.batch_tiles,
+                wants: self.set_up.wants,
+                placement: self.placement,
             };
             let link = self.link.clone();
             let name = format!("render {thread}");

@@ -5,10 +5,13 @@ use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 
 use anyhow::{Context, Result};
+use dsm_core::placement::Stripes;
 use fault_linux::{Attached, BackendKind, Record, Region, ThreadStats};
 use rt_core::{Flat, Frame, Kernel, SceneMemory, SceneView, TILE_SIZE, TileId, Tiles, render_tile};
 
-use crate::control::{News, TileBatch};
+use crate::control::News;
+use crate::diagnostic::{FactBatch, Probe, Wants};
+use crate::gather::{Outlets, Sender};
 use crate::link::Link;
 use crate::noted::{Noted, Notes};
 use crate::ports::Port;
@@ -28,11 +31,15 @@ pub(crate) struct Painter {
     pub(crate) region: Arc<Region>,
     pub(crate) port: Port,
     pub(crate) link: Arc<Link>,
+    pub(crate) outlets: Arc<Outlets>,
     pub(crate) jobs: Receiver<Arc<Job>>,
     pub(crate) image_bytes: u64,
     pub(crate) kernel: Kernel,
     /// Tiles sent at a time at most.
     pub(crate) batch_tiles: u16,
+    /// What is to be found out of each tile, and whose pages are whose.
+    pub(crate) wants: Wants,
+    pub(crate) placement: Stripes,
 }
 
 /// A scene of which every access goes through a table: the `soft` backend.
@@ -60,18 +67,28 @@ impl Job {
 impl Painter {
     /// Draws job after job until there are no more, or a page cannot be had.
     pub(crate) fn run(self) -> Result<ThreadStats> {
-        let Self { region, port, link, jobs, image_bytes, kernel, batch_tiles } = self;
+        let Self { region, port, link, outlets, jobs, image_bytes, kernel, batch_tiles, wants, placement } =
+            self;
         let attached = region.attach(port)?;
         let notes = Notes::new(u32::try_from(region.page_bytes())?, image_bytes);
-        let canvas =
-            Canvas { attached: &attached, notes: &notes, link: &link, jobs: &jobs, kernel, batch_tiles };
+        let canvas = Canvas {
+            attached: &attached,
+            notes: &notes,
+            link: &link,
+            outlets: &outlets,
+            jobs: &jobs,
+            kernel,
+            batch_tiles,
+            wants,
+            placement,
+        };
         if region.choice().used == BackendKind::Soft {
-            canvas.draw_all(Noted::new(Slotted { attached: &attached, length: image_bytes }, &notes))?;
+            canvas.draw_all(Slotted { attached: &attached, length: image_bytes })?;
         } else {
             let bytes = attached.bytes();
             // Behind the image's end lies only what fills the last page.
             let length = usize::try_from(image_bytes)?.min(bytes.len());
-            canvas.draw_all(Noted::new(Flat::new(&bytes[..length]), &notes))?;
+            canvas.draw_all(Flat::new(&bytes[..length]))?;
         }
         Ok(attached.stats())
     }
@@ -82,52 +99,59 @@ struct Canvas<'a> {
     attached: &'a Attached<Port>,
     notes: &'a Notes,
     link: &'a Link,
+    outlets: &'a Outlets,
     jobs: &'a Receiver<Arc<Job>>,
     kernel: Kernel,
     batch_tiles: u16,
+    wants: Wants,
+    placement: Stripes,
 }
 
 impl Canvas<'_> {
-    fn draw_all<M: SceneMemory>(&self, memory: M) -> Result<()> {
-        let scene = SceneView::new(memory);
+    fn draw_all<M: SceneMemory + Copy>(&self, memory: M) -> Result<()> {
+        let scene = SceneView::new(Noted::new(memory, self.notes));
         // A header of zeros is what a page that could not be had looks like; that failure comes first.
         self.attached.check()?;
         let scene = scene.context("the scene image")?;
+        let mut sender = Sender::new(self.outlets, self.batch_tiles);
+        let mut probe = Probe::new(self.wants, memory, self.placement, self.attached.region().page_bytes())?;
         while let Ok(job) = self.jobs.recv() {
-            self.draw(&scene, &job)?;
+            self.draw(&scene, &job, &mut sender, &mut probe)?;
         }
         Ok(())
     }
 
-    fn draw<M: SceneMemory>(&self, scene: &SceneView<M>, job: &Job) -> Result<()> {
-        let frame = job.frame.number;
-        let (mut batch, mut batched) = (TileBatch::new(frame), 0);
+    fn draw<M: SceneMemory, N: SceneMemory>(
+        &self,
+        scene: &SceneView<M>,
+        job: &Job,
+        sender: &mut Sender<'_>,
+        probe: &mut Probe<N>,
+    ) -> Result<()> {
+        let (frame, columns) = (job.frame.number, job.tiles.columns());
+        // Nothing leaves that a page may have been made of that could not be had.
+        let check = || -> Result<()> { Ok(self.attached.check()?) };
         let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
         while let Some(id) = job.take() {
             let Some(tile) = job.tiles.get(id) else { continue };
             let pixels = &mut pixels[..tile.pixels()];
             self.attached.begin_tile(id.0);
+            probe.begin_tile(|| self.attached.misses());
             let counts = render_tile(scene, &job.frame, tile, self.kernel, pixels, &mut ());
+            let facts = probe.end_tile(&job.frame, (id, tile), || self.attached.misses());
             self.notes.take(|pages| self.attached.end_tile(id.0, pages));
-            if batched == self.batch_tiles || !batch.push(id, pixels, &counts) {
-                self.send(core::mem::replace(&mut batch, TileBatch::new(frame)))?;
-                batch.push(id, pixels, &counts);
-                batched = 0;
-            }
-            batched += 1;
+            self.tell(facts)?;
+            sender.push(frame, columns, (id, tile), (pixels, &counts), check)?;
         }
-        self.send(batch)?;
+        sender.flush(check)?;
+        self.tell(probe.rest())?;
         self.link.send(&News::Drawn(frame).to_packet()?)?;
         Ok(())
     }
 
-    /// Sends tiles, unless a page that they may be made of could not be had.
-    fn send(&self, batch: TileBatch) -> Result<()> {
-        self.attached.check()?;
-        if !batch.is_empty() {
-            self.link.send(&News::Tiles(batch).to_packet()?)?;
-        }
-        Ok(())
+    /// Sends what is known of some tiles, if anything is.
+    fn tell(&self, facts: Option<FactBatch>) -> Result<()> {
+        facts.map_or(Ok(()), |facts| Ok(self.link.send(&News::Facts(facts).to_packet()?)?))
     }
 }
 

@@ -1,4 +1,4 @@
-//! Starts the processes of a run, watches them, gathers their tiles, and ends them, however the run ends.
+//! Starts the processes of a run, watches them, and ends them, however the run ends.
 
 use core::time::Duration;
 use std::io::ErrorKind;
@@ -13,12 +13,14 @@ use dsm_core::placement::Stripes;
 use rt_core::{Frame, TileId};
 
 use crate::canvas::Canvas;
-use crate::control::{Drawn, Files, News, Order, SetUp};
+use crate::control::{Files, News, Order, SetUp};
+use crate::diagnostic::FrameFacts;
+use crate::gather::{Displays, Gathered};
 use crate::link::{Link, PACKET_BYTES_MAX, wait_for_any};
 use crate::loss::{Kill, Loss, Moment, is_all_there};
 use crate::node::NODE_COMMAND;
-use crate::picture::Picture;
 use crate::report::ProcessReport;
+use crate::size::PictureSize;
 
 /// The processes of a run. Dropping it ends them all.
 #[derive(Debug)]
@@ -26,6 +28,10 @@ pub(crate) struct Supervisor {
     /// The nodes, which render, then the stores.
     processes: Vec<Process>,
     nodes: usize,
+    /// Where the tiles go.
+    displays: Displays,
+    /// Whether somebody wants to know more of tiles than their pixels.
+    wants_facts: bool,
     /// Render threads of each node; each says when it has drawn its part of an order.
     threads: u32,
     placement: Stripes,
@@ -61,9 +67,10 @@ enum Event {
 /// A frame that is whole.
 #[derive(Debug)]
 pub(crate) struct Drawing {
-    pub(crate) picture: Picture,
-    pub(crate) counts: Drawn,
+    pub(crate) gathered: Gathered,
     pub(crate) ms: f64,
+    /// What is known of its tiles, if somebody wants to know.
+    pub(crate) facts: Option<FrameFacts>,
 }
 
 /// How long one look at the links takes at most, so that a silent process is noticed soon.
@@ -85,14 +92,29 @@ impl Supervisor {
         let placement = first.placement.placement()?;
         let doing = "the cluster was started".to_owned();
         let (processes, losses) = (Vec::new(), Vec::new());
-        let mut supervisor = Self { processes, nodes, threads, placement, losses, kills, deadline, doing };
+        let (displays, ends) = Displays::start(first.displays, nodes, !kills.is_empty())?;
+        let mut supervisor = Self {
+            processes,
+            nodes,
+            displays,
+            wants_facts: first.wants.facts,
+            threads,
+            placement,
+            losses,
+            kills,
+            deadline,
+            doing,
+        };
         for plan in plans {
             let process = Process::start(plan).with_context(|| format!("cannot start {}", name_of(plan)))?;
             supervisor.processes.push(process);
         }
-        let list: Vec<BorrowedFd<'_>> = files.iter().map(AsFd::as_fd).collect();
+        // A node's ends are its own: nobody else holds them, so that its death closes them.
+        let mut ends = ends.into_iter();
         for (index, plan) in plans.iter().enumerate() {
             let packet = Order::SetUp(Box::new(plan.clone())).to_packet()?;
+            let ends = ends.next().unwrap_or_default();
+            let list: Vec<BorrowedFd<'_>> = files.iter().chain(&ends).map(AsFd::as_fd).collect();
             supervisor.processes[index].send(&packet, &list)?;
         }
         Ok(supervisor)
@@ -119,28 +141,34 @@ impl Supervisor {
     pub(crate) fn draw(&mut self, frame: Frame) -> Result<Drawing> {
         self.doing = format!("frame {} was drawn", frame.number);
         let start = Instant::now();
+        self.displays.begin(&frame);
         let mut canvas = Canvas::new(frame, self.nodes);
+        let mut facts = self.wants_facts.then(|| FrameFacts::new(&frame));
         for index in self.living_nodes() {
             self.give(index, &Order::Draw(frame), &mut canvas)?;
         }
         // What nodes would have drawn that died in earlier frames.
         self.deal_again(&mut canvas)?;
         self.kill_as_asked(&canvas);
-        while !canvas.is_whole() {
+        while !(canvas.is_done() && self.displays.is_whole()) {
             for (index, event) in self.listen()? {
                 let context = || format!("{} sent", self.processes[index].name);
                 match event {
-                    Event::News(News::Tiles(batch)) => canvas.put(&batch).with_context(context)?,
+                    Event::News(News::Facts(batch)) => {
+                        let facts =
+                            facts.as_mut().context("facts that nobody asked for").with_context(context)?;
+                        facts.take(&batch, u16::try_from(index)?).with_context(context)?;
+                    }
                     Event::News(News::Drawn(frame)) => canvas.settle(index, frame).with_context(context)?,
                     Event::Death => self.go_on_without(index, &mut canvas)?,
                     other @ Event::News(_) => self.reject(index, &other)?,
                 }
-                self.kill_as_asked(&canvas);
             }
+            self.kill_as_asked(&canvas);
         }
+        let gathered = self.displays.gather(PictureSize { width: frame.width, height: frame.height });
         let ms = start.elapsed().as_secs_f64() * 1000.0;
-        let (picture, counts) = canvas.into_parts();
-        Ok(Drawing { picture, counts, ms })
+        Ok(Drawing { gathered, ms, facts })
     }
 
     /// Has every process report, and sees each one end. Tells of those that did not live to do so.
@@ -179,7 +207,8 @@ impl Supervisor {
     /// Deals the missing tiles of dead nodes to the living; tells how many there were.
     fn deal_again(&mut self, canvas: &mut Canvas) -> Result<usize> {
         let living = self.living_nodes();
-        let missing = canvas.missing_of(|node| self.processes[node].is_dead);
+        let missing =
+            canvas.missing_of(|node| self.processes[node].is_dead, |tile| self.displays.is_there(tile));
         for (turn, node) in living.iter().enumerate() {
             let tiles: Vec<TileId> = missing.iter().skip(turn).step_by(living.len()).copied().collect();
             canvas.deal(&tiles, *node);
@@ -202,7 +231,10 @@ impl Supervisor {
 
     /// Kills the processes whose time has come.
     fn kill_as_asked(&mut self, canvas: &Canvas) {
-        let (drawn, present) = (canvas.frame().number, canvas.present());
+        if self.kills.is_empty() {
+            return;
+        }
+        let (drawn, present) = (canvas.frame().number, self.displays.present());
         let is_due =
             |when| matches!(when, Moment::Drawn { frame, tiles } if frame == drawn && present >= tiles);
         self.kill_if(|kill| is_due(kill.when));
@@ -224,10 +256,13 @@ impl Supervisor {
     fn listen(&mut self) -> Result<Vec<(usize, Event)>> {
         let open: Vec<usize> =
             (0..self.processes.len()).filter(|index| !self.processes[*index].is_done).collect();
-        let links: Vec<&Link> = open.iter().map(|index| &self.processes[*index].link).collect();
-        let ready = wait_for_any(&links, LOOK_MS)?;
+        let links = open.iter().map(|index| self.processes[*index].link.as_fd());
+        let files: Vec<BorrowedFd<'_>> = links.chain([self.displays.bell()]).collect();
+        let ready = wait_for_any(&files, LOOK_MS)?;
+        self.displays.listen()?;
         let mut heard = Vec::new();
-        for index in ready.into_iter().map(|ready| open[ready]) {
+        // The last is the bell.
+        for index in ready.into_iter().filter_map(|ready| open.get(ready).copied()) {
             let process = &mut self.processes[index];
             let packet = process.link.receive().unwrap_or(None);
             let Some(packet) = packet else {
@@ -270,6 +305,9 @@ impl Supervisor {
         let (process, doing) = (self.processes[index].name.clone(), self.doing.clone());
         if !self.can_spare(index) {
             bail!("{process} {how} while {doing}");
+        }
+        if index < self.nodes {
+            self.displays.see_gone(index, deadline)?;
         }
         self.losses.push(Loss { process, how, doing, tiles_dealt_again: 0 });
         self.processes[index].is_done = true;

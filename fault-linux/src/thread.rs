@@ -207,6 +207,14 @@ impl<T: Transport> Attached<T> {
         worker.fetcher.stats.clone()
     }
 
+    /// Faults of this thread so far that fetched a page or waited for one.
+    #[must_use]
+    pub fn misses(&self) -> u64 {
+        // SAFETY: as in `record`; the reference ends with this function.
+        let worker = unsafe { &*self.worker.get() };
+        worker.fetcher.stats.miss_ns.count()
+    }
+
     /// The region it reads.
     #[must_use]
     pub fn region(&self) -> &Arc<Region> {

@@ -15,8 +15,7 @@ use dsm_core::wire::HEADER_BYTES;
 use fault_linux::BackendKind;
 
 const THREADS: u64 = 8;
-const SCENE: Scene =
-    Scene { pages: 64, page_bytes: 65536, deadline_us: 20_000_000, ..Scene::SMALL };
+const SCENE: Scene = Scene { pages: 64, page_bytes: 65536, deadline_us: 20_000_000, ..Scene::SMALL };
 
 /// Makes the other owner's pages word by word, giving way to other threads in between.
 #[derive(Debug)]

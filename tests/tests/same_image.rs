@@ -1,5 +1,5 @@
 //! `SAME_IMAGE`: the image is bit-identical for any number of nodes and threads, any memory, page size, backend,
-//! policy, source of reference bits and transport, and equals the replicated one.
+//! policy, source of reference bits, transport and displays, and equals the replicated one.
 //!
 //! There are some thousand combinations. Continuous integration runs a part of them in which every value and most
 //! pairs of values occur; `./ci.sh same-image` runs all (`MEMSAVVY_ALL=1`).
@@ -16,10 +16,11 @@ const BACKENDS: [&str; 3] = ["uffd", "segv", "soft"];
 const POLICIES: [&str; 6] = ["random", "fifo", "clock", "sieve", "s3-fifo", "recall"];
 const REFERENCES: [&str; 3] = ["none", "hints", "soft-faults"];
 const TRANSPORTS: [&str; 2] = ["shm", "shm-ring"];
-const COMBINATIONS: usize = 3 * 2 * 4 * 3 * 3 * 6 * 2 * 3;
+const DISPLAYS: [u32; 2] = [1, 3];
+const COMBINATIONS: usize = 3 * 2 * 4 * 3 * 3 * 6 * 2 * 3 * 2;
 
-/// Runs in continuous integration: every 157th, a number that shares no divisor with any of the counts above.
-const STRIDE: usize = 157;
+/// Runs in continuous integration: every 313th, a number that shares no divisor with any of the counts above.
+const STRIDE: usize = 313;
 
 #[derive(Clone, Copy, Debug)]
 struct Combination {
@@ -31,6 +32,7 @@ struct Combination {
     policy: &'static str,
     transport: &'static str,
     reference: &'static str,
+    displays: u32,
 }
 
 impl Combination {
@@ -50,6 +52,7 @@ impl Combination {
             policy: POLICIES[digit(6)],
             transport: TRANSPORTS[digit(2)],
             reference: REFERENCES[digit(3)],
+            displays: DISPLAYS[digit(2)],
         }
     }
 
@@ -57,10 +60,10 @@ impl Combination {
     fn flags(&self) -> Vec<String> {
         let share: u32 = self.memory.trim_end_matches('%').parse().unwrap();
         let stores = if share * self.nodes < 120 && share < 100 { 2 } else { 0 };
-        let Self { nodes, threads, memory, page, backend, policy, transport, reference } = self;
+        let Self { nodes, threads, memory, page, backend, policy, transport, reference, displays } = self;
         format!(
             "--nodes {nodes} --stores {stores} --threads {threads} --memory {memory} --page {page} --backend {backend} \
-             --replacement {policy} --transport {transport} --reference {reference} --deadline 60"
+             --replacement {policy} --transport {transport} --reference {reference} --displays {displays} --deadline 60"
         )
         .split_whitespace()
         .map(str::to_owned)
@@ -168,5 +171,6 @@ fn the_combinations_cover_every_value() {
         for threads in THREADS {
             assert!(chosen.iter().any(|one| one.nodes == nodes && one.threads == threads));
         }
+        assert!(DISPLAYS.iter().all(|count| chosen.iter().any(|one| one.displays == *count)));
     }
 }

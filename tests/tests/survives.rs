@@ -24,11 +24,12 @@ struct Cluster {
 
 impl Cluster {
     fn arguments<'a>(&self, image: &'a str) -> Vec<&'a str> {
-        let (stores, memory) = if self.stores > 0 { ("2", "20%") } else { ("0", "80%") };
+        let (stores, memory, displays) = if self.stores > 0 { ("2", "20%", "3") } else { ("0", "80%", "1") };
         let cluster = ["--nodes", "3", "--stores", stores, "--memory", memory, "--threads", "2"];
         let pages = ["--replicas", "2", "--transport", self.transport, "--backend", self.backend];
+        let gather = ["--displays", displays];
         let view = ["--size", "256x256", "--frames", "3", "--radius", "0.8", "--deadline", "50"];
-        [&[image][..], &cluster, &pages, &view].concat()
+        [&[image][..], &cluster, &pages, &gather, &view].concat()
     }
 
     /// Whom to kill and when, as the seed says: a node, and a store if there are stores.

@@ -125,7 +125,7 @@ fn round(
     images: &mut Images,
 ) -> Result<Vec<RunReport>> {
     let run = |system: System| {
-        let run = run::run(&system.options(image, session, amount.size), |_, _| Ok(()))?;
+        let run = run::run(&system.options(image, session, amount.size), |_| Ok(()))?;
         images.expect_same(&run).with_context(|| system.name())?;
         Ok(run)
     };

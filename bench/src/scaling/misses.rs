@@ -25,7 +25,7 @@ pub(super) fn count(scenes: &Scenes, amount: Amount) -> Result<(Table, Vec<Aim>)
         let [beams, rays] = [Kernel::fastest(), Kernel::Rays(Lanes::widest())].map(|kernel| -> Result<f64> {
             let options =
                 Options { kernel: Some(kernel), prefetch: Prefetch::None, ..shape.options(&scene, amount)? };
-            let run = run::run(&options, |_, _| Ok(()))?;
+            let run = run::run(&options, |_| Ok(()))?;
             images.expect_same(&run)?;
             Ok(run.totals.fetched_pages as f64 / run.frames.len() as f64)
         });

@@ -96,7 +96,7 @@ fn run(effort: Effort) -> Result<Findings> {
 /// Runs every shape once.
 fn round(scene: &Scene, amount: Amount, images: &mut Images) -> Result<Vec<RunReport>> {
     let run = |shape: Shape| {
-        let run = run::run(&shape.options(scene, amount)?, |_, _| Ok(()))?;
+        let run = run::run(&shape.options(scene, amount)?, |_| Ok(()))?;
         images.expect_same(&run)?;
         Ok(run)
     };
