@@ -26,7 +26,7 @@ lint() {
     cargo clippy --workspace --all-targets --locked -- -D warnings
     cargo clippy --manifest-path fuzz/Cargo.toml --locked -- -D warnings
     local features
-    for features in triangles spheres spheres,volumes triangles,shadows,lanes-avx512 spheres,shadows,lanes-avx2,lanes-avx512; do
+    for features in triangles spheres volumes spheres,volumes triangles,shadows,lanes-avx512 spheres,shadows,lanes-avx2,lanes-avx512; do
         cargo clippy -p rt-core --lib --no-default-features --features "$features" --locked -- -D warnings
         cargo clippy -p memsavvy --no-default-features --features "$features" --locked -- -D warnings
     done

@@ -3,7 +3,8 @@
 use anyhow::Result;
 
 use crate::findings::Findings;
-use crate::{balance, embree, fig7, left_out, paging_core, replacement, scaling, sim, table1};
+use crate::{balance, embree, fig5, fig7, gather, iso, iso_error, left_out};
+use crate::{paging_core, replacement, scaling, sim, table1};
 
 /// An experiment: its name on the command line, what it shows, how it is run.
 #[derive(Debug)]
@@ -32,9 +33,13 @@ pub(crate) const ALL: &[Experiment] = &[
     scaling::EXPERIMENT,
     fig7::EXPERIMENT,
     balance::EXPERIMENT,
+    fig5::EXPERIMENT,
     replacement::EXPERIMENT,
+    gather::EXPERIMENT,
     embree::EXPERIMENT,
     left_out::EXPERIMENT,
+    iso_error::EXPERIMENT,
+    iso::EXPERIMENT,
 ];
 
 impl Effort {

@@ -98,7 +98,7 @@ fn measure(image: &Path, name: &str, effort: Effort) -> Result<Findings> {
         // In turns, so that what else the machine does meets all of them.
         for _ in 0..reps {
             for of in &mut runs {
-                of.runs.push(run::run(&options(image, of.balancer, *share, frames, size)?, |_, _| Ok(()))?);
+                of.runs.push(run::run(&options(image, of.balancer, *share, frames, size)?, |_| Ok(()))?);
             }
         }
         all.extend(runs);

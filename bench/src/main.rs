@@ -12,14 +12,18 @@
 //! | [`fig7`] | misses and frame rate by balancer, as in the paper's Figure 7 |
 //! | [`balance`] | stiff cases of balancing in virtual time |
 //! | [`replacement`] | misses of the replacement policies, and what prefetch spares |
+//! | [`gather`] | bytes from the nodes to the display, and its time for a tile |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
 //! | [`peers`] | other programs that draw what we draw, and our kernels beside them |
+//! | [`fig5`] | a session on a volume, as in the paper's Figure 5 |
+//! | [`iso`] | isosurfaces against flying edges and Embree |
+//! | [`iso_error`] | isosurfaces: error against run time |
 //! | [`left_out`] | what a scene does not need |
 //! | [`sim`] | the simulator: events a second |
 //! | [`findings`], [`table`], [`plot`], [`spread`] | what an experiment gives back, and how it is shown |
 //! | [`quiet`] | telling quiet rounds from those in which other programs wanted the machine |
 //! | [`distance`] | how far apart the cores are at the moment |
-//! | [`data`] | the folder with real meshes |
+//! | [`data`], [`volumes`] | the folder with real meshes and scans; volumes to look at |
 //! | [`machine`] | what stands beside every figure: processor, kernel, commit |
 //! | [`space`], [`owner`], [`memory`] | a shared space to read, the process that owns it, memory to compare with |
 //!
@@ -32,8 +36,12 @@ mod data;
 mod distance;
 mod embree;
 mod experiment;
+mod fig5;
 mod fig7;
 mod findings;
+mod gather;
+mod iso;
+mod iso_error;
 mod left_out;
 mod machine;
 mod memory;
@@ -49,6 +57,7 @@ mod space;
 mod spread;
 mod table;
 mod table1;
+mod volumes;
 
 use std::process::ExitCode;
 

@@ -52,6 +52,21 @@ impl Memory {
         Ok(memory)
     }
 
+    /// Lends room for `count` values of which each is `value` at first. Only for memory made by [`array`](Self::array).
+    ///
+    /// # Panics
+    /// When it has not as much.
+    pub(crate) fn lend<T: Copy>(&mut self, value: T, count: usize) -> &mut [T] {
+        assert!(count * size_of::<T>() <= self.bytes && align_of::<T>() <= ALIGN, "room for {count} values");
+        let start = self.start.cast::<T>();
+        for index in 0..count {
+            // SAFETY: in bounds and aligned, as asserted; the exclusive borrow makes it the only access.
+            unsafe { start.wrapping_add(index).write(value) };
+        }
+        // SAFETY: all `count` values were written just now; the exclusive borrow lives as long as the slice.
+        unsafe { slice::from_raw_parts_mut(start, count) }
+    }
+
     /// Address space that nobody may touch yet.
     pub(crate) fn reserve(bytes: usize) -> io::Result<Self> {
         Self::map(bytes, libc::PROT_NONE)

@@ -117,6 +117,10 @@ impl Axis {
     /// The label at a place of the axis.
     fn value(self, place: f64) -> String {
         let value = if self.is_logarithmic { 10f64.powf(place) } else { place };
-        if value.abs() >= 10.0 { format!("{value:.0}") } else { format!("{}", (value * 10.0).round() / 10.0) }
+        match value.abs() {
+            10.0.. => format!("{value:.0}"),
+            ..0.1 if self.is_logarithmic => format!("{value:.0e}"),
+            _ => format!("{}", (value * 10.0).round() / 10.0),
+        }
     }
 }

@@ -26,9 +26,21 @@ fn names() -> Vec<String> {
 #[test]
 fn every_experiment_runs_and_writes_what_it_found() {
     let names = names();
-    for expected in
-        ["table1", "core", "sim", "scaling", "fig7", "balance", "replacement", "embree", "left-out"]
-    {
+    for expected in [
+        "table1",
+        "core",
+        "sim",
+        "scaling",
+        "fig5",
+        "fig7",
+        "balance",
+        "replacement",
+        "gather",
+        "embree",
+        "left-out",
+        "iso-error",
+        "iso",
+    ] {
         assert!(names.iter().any(|name| name == expected), "{names:?}");
     }
     for name in names {
@@ -72,23 +84,32 @@ fn check(record: &Value, name: &str) {
     }
 }
 
-#[test]
-fn without_a_compiler_ours_is_measured_alone_and_the_rest_is_said() {
-    let out = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("quick-embree-alone");
+/// Runs an experiment where there is no compiler and no interpreter; what it prints, and the programs in its rows.
+fn alone(name: &str) -> (String, Vec<String>) {
+    let out = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("quick-{name}-alone"));
     let mut command = Command::new(env!("CARGO_BIN_EXE_bench"));
-    command.args(["embree", "--quick", "--out", out.to_str().unwrap()]);
+    command.args([name, "--quick", "--out", out.to_str().unwrap()]);
     let run = command.env("PATH", "").env_remove("EMBREE4_LIB").output().unwrap();
     assert!(run.status.success(), "{}", text(&run.stderr));
-    let printed = text(&run.stdout);
-    for line in ["Embree 3 is not here", "apt-get install", "Embree 4 is not here", "pip install"] {
-        assert!(printed.contains(line), "{line}: {printed}");
+    let record = fs::read(out.join(format!("{name}.json"))).unwrap();
+    let record: Value = serde_json::from_slice(&record).unwrap();
+    let rows = record["rows"].as_array().unwrap();
+    let programs = rows.iter().filter_map(|row| row["program"].as_str()).map(str::to_owned);
+    (text(&run.stdout), programs.collect())
+}
+
+#[test]
+fn without_other_programs_ours_is_measured_alone_and_the_rest_is_said() {
+    for (name, missing) in [
+        ("embree", ["Embree 3 is not here", "apt-get install", "Embree 4 is not here", "pip install"]),
+        ("iso", ["Embree 3 is not here", "Embree 4 is not here", "VTK is not here", "pip install vtk"]),
+    ] {
+        let (printed, programs) = alone(name);
+        for line in missing {
+            assert!(printed.contains(line), "{line}: {printed}");
+        }
+        assert!(!programs.is_empty() && programs.iter().all(|name| name.starts_with("ours")), "{programs:?}");
     }
-    let record: Value = serde_json::from_slice(&fs::read(out.join("embree.json")).unwrap()).unwrap();
-    let programs = record["rows"].as_array().unwrap().iter().filter_map(|row| row["program"].as_str());
-    assert!(
-        programs.clone().count() > 0 && programs.clone().all(|name| name.starts_with("ours")),
-        "{record}"
-    );
 }
 
 #[test]

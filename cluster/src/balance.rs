@@ -6,7 +6,7 @@
 //! loses a letter; the protocol minds no loss.
 
 use core::time::Duration;
-use std::os::fd::OwnedFd;
+use std::os::fd::{AsFd, OwnedFd};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Instant;
@@ -43,6 +43,8 @@ struct State {
     worker: Worker<'static>,
     /// The frame of which tiles are dealt; `None` before the first.
     frame: Option<Frame>,
+    /// The last frame of which tiles were dealt anew.
+    dealt_anew: Option<u32>,
     is_over: bool,
     idle: Duration,
 }
@@ -52,6 +54,8 @@ struct State {
 pub(crate) struct Task {
     pub(crate) frame: Frame,
     pub(crate) tile: TileId,
+    /// Nobody has died in this frame or the last, as far as is known: no tile was drawn twice.
+    pub(crate) is_calm: bool,
     began: Instant,
 }
 
@@ -98,6 +102,7 @@ impl Balance {
             state: Mutex::new(State {
                 worker: Worker::new(config, storage(tiles, set_up.nodes)),
                 frame: None,
+                dealt_anew: None,
                 is_over: false,
                 idle: Duration::ZERO,
             }),
@@ -141,6 +146,9 @@ impl Balance {
         // What is refused has been said before.
         let _ = state.worker.handle_message(now().as_micros(), &message);
         let after = state.worker.stamp();
+        if let Some(stamp) = after.filter(|stamp| stamp.view > 0) {
+            state.dealt_anew = Some(stamp.frame);
+        }
         if before.map(|stamp| stamp.frame) != after.map(|stamp| stamp.frame) {
             let is_drawn_again = !matches!(self.balancer, Balancer::Demand { .. });
             let is_expected = |tile: &TileId| {
@@ -207,7 +215,8 @@ impl Balance {
     fn take(&self, state: &mut State) -> Result<Option<Task>> {
         let taken = state.worker.take(now().as_micros());
         self.send(state)?;
-        let task = |(tile, frame)| Task { frame, tile, began: Instant::now() };
+        let is_calm = |frame: &Frame| state.dealt_anew.is_none_or(|last| last + 1 < frame.number);
+        let task = |(tile, frame)| Task { frame, tile, is_calm: is_calm(&frame), began: Instant::now() };
         Ok(taken.zip(state.frame).map(task))
     }
 
@@ -216,7 +225,7 @@ impl Balance {
         let deadline_us = self.deadline_us();
         let wait_ms =
             deadline_us.map_or(LOOK_MS, |at| (at.saturating_sub(now().as_micros()) / 1000 + 1).min(LOOK_MS));
-        let has_letter = !wait_for_any(&[letters], u32::try_from(wait_ms)?)?.is_empty();
+        let has_letter = !wait_for_any(&[letters.as_fd()], u32::try_from(wait_ms)?)?.is_empty();
         // All other nodes are gone when the other ends are.
         let packet =
             if has_letter { Some(letters.receive()?.context("no other node is left")?) } else { None };

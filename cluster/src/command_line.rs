@@ -19,8 +19,9 @@ use scene::builtin::BuiltIn;
 use scene::volume::StoredType;
 use scene::{Info, SceneFile};
 
-use crate::control::{BindTo, TransportKind};
+use crate::control::{BindTo, Prefetch, TransportKind};
 use crate::describe::{describe_histogram, describe_volume};
+use crate::diagnostic::Diagnostic;
 use crate::output::{Destination, check_folder_of, write_whole};
 use crate::report::{RunReport, counted, thousands};
 use crate::run::{HIDDEN_PER_CENT, Kill, Options, Source, Surface, run};
@@ -68,7 +69,8 @@ Examples:
   memsavvy render dragon.msv -o orbit-%03d.png --frames 36 --radius 0.75
   memsavvy render dragon.msv -o walk-%03d.png --session walk.jsonl
   memsavvy render dragon.msv --nodes 2 --stores 2 --memory 16% --report run.json
-  memsavvy render dragon.msv --nodes 4 --memory 5M --page 4K --backend segv --policy fifo")]
+  memsavvy render dragon.msv -o out.png --diagnostic tile-owner,page-owner,misses,cost
+  memsavvy render dragon.msv --nodes 4 --memory 5M --page 4K --backend segv --replacement fifo")]
 struct Render {
     /// A mesh (PLY, OBJ), a volume (NRRD, NIfTI, VTI, raw:FILE?dims=XxYxZ&type=u8), a scene image made by `memsavvy
     /// prepare`, or what is built in: knot:TRIANGLES, sphereflake:DEPTH, gyroid:SAMPLES or ml:SAMPLES
@@ -90,6 +92,11 @@ struct Output {
     /// The picture to write, PNG: the last frame, or each with a pattern like out-%03d.png
     #[arg(short, long, value_name = "FILE")]
     output: Option<String>,
+    /// Write pictures of what happens beside each picture, out.misses.png beside out.png and so on, and with several all
+    /// side by side in out.diagnostic.png. page-owner traces a ray more for each pixel, whose misses are not counted but
+    /// change what is in the caches
+    #[arg(long, value_name = "KIND,...", value_enum, value_delimiter = ',', requires = "output")]
+    diagnostic: Vec<Diagnostic>,
     /// Write the run report as JSON
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
@@ -129,8 +136,8 @@ struct Cluster {
     #[arg(long, value_name = "NAME", default_value = "auto", value_parser = backend)]
     backend: Backend,
     /// Which page leaves for another: random, fifo, clock, sieve, s3-fifo or recall
-    #[arg(long, visible_alias = "replacement", value_name = "NAME", default_value_t = PolicyKind::Recall)]
-    policy: PolicyKind,
+    #[arg(long, value_name = "NAME", default_value_t = PolicyKind::Recall)]
+    replacement: PolicyKind,
     /// How it learns which pages are used: hints, at the end of each tile; soft-faults, by hiding pages before they
     /// leave; or none
     #[arg(long, value_name = "NAME", default_value_t = ReferenceSource::Hints)]
@@ -138,9 +145,10 @@ struct Cluster {
     /// With soft-faults, how many per cent of the slots hold hidden pages
     #[arg(long, value_name = "PERCENT", default_value_t = HIDDEN_PER_CENT, value_parser = clap::value_parser!(u32).range(1..=90))]
     hidden: u32,
-    /// With hints, do not bring the pages that a tile used in the last frame before it starts
-    #[arg(long)]
-    no_prefetch: bool,
+    /// Which pages come before they are touched: with hints, those that a tile used in the last frame; those that follow a
+    /// missed one; both; or none. Either turns itself off where it does not pay
+    #[arg(long, value_name = "WHICH", value_enum, default_value_t = Prefetch::Tiles)]
+    prefetch: Prefetch,
     /// How tiles are drawn: auto, avx512, avx2, portable (beams with these instructions), rays, or rays-avx2 and so on; all draw the same
     #[arg(long, value_name = "NAME", default_value = "auto", value_parser = kernel)]
     kernel: ChosenKernel,
@@ -151,14 +159,17 @@ struct Cluster {
     /// one at a time) or steal-near (half of what is too much, from and to nodes that use the same pages)
     #[arg(long, value_name = "NAME", default_value_t = Balancer::StealNear)]
     balance: Balancer,
+    /// Threads of this process that put the pictures together, each its rows of tiles
+    #[arg(long, value_name = "K", default_value_t = 1)]
+    displays: u16,
     /// Seconds after which a fault that nobody serves, or a process that says nothing, ends the run
     #[arg(long, value_name = "SECONDS", default_value = "5", value_parser = seconds)]
     deadline: Duration,
     /// Lose this many of a thousand messages, for tests
     #[arg(long, value_name = "N", default_value_t = 0, hide = true, value_parser = clap::value_parser!(u32).range(0..1000))]
     lose: u32,
-    /// Kill this process once so many tiles of this frame are there, for tests
-    #[arg(long, value_name = "PROCESS@FRAME:TILES", hide = true)]
+    /// Kill this process once so many tiles of this frame are there, or at the start, for tests
+    #[arg(long, value_name = "PROCESS@FRAME:TILES|start", hide = true)]
     kill: Vec<Kill>,
     /// Makes what is random repeatable
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -386,13 +397,14 @@ impl Render {
             memory: cluster.memory,
             page_bytes: cluster.page,
             backend: cluster.backend.0,
-            policy: cluster.policy,
+            policy: cluster.replacement,
             reference: cluster.reference,
             hidden_per_cent: cluster.hidden,
-            prefetch: !cluster.no_prefetch,
+            prefetch: cluster.prefetch,
             kernel: cluster.kernel.0,
             transport: cluster.transport,
             balance: cluster.balance,
+            displays: cluster.displays,
             size: view.size,
             session,
             replay,
@@ -402,6 +414,7 @@ impl Render {
             lose_per_mille: cluster.lose,
             replicas: cluster.replicas,
             kills: cluster.kill,
+            diagnostics: output.diagnostic.clone(),
             seed: cluster.seed,
             quiet: output.quiet,
             command,
@@ -424,9 +437,9 @@ fn render(options: &Options, output: Option<&str>) -> Result<RunReport> {
     let moments = options.session.count();
     let last = destination.as_ref().and_then(|destination| destination.path(moments - 1, moments));
     last.map_or(Ok(()), |path| check_folder_of(&path))?;
-    run(options, |moment, picture| {
-        let path = destination.as_ref().and_then(|destination| destination.path(moment, moments));
-        path.map_or(Ok(()), |path| picture.write(&path))
+    run(options, |shown| {
+        let path = destination.as_ref().and_then(|destination| destination.path(shown.moment, moments));
+        path.map_or(Ok(()), |path| shown.write(&path))
     })
 }
 

@@ -3,10 +3,10 @@
 //! A packet is one letter and what belongs to it: JSON where people may want to look, bytes where there are many.
 
 use anyhow::{Context, Result, bail};
-use rt_core::{Frame, Tile, TileCounts, TileId, Tiles};
+use rt_core::{Frame, TileCounts};
 use serde::{Deserialize, Serialize};
 
-use crate::link::PACKET_BYTES_MAX;
+use crate::diagnostic::{FactBatch, Wants};
 use crate::plan::PlacementNumbers;
 use crate::report::ProcessReport;
 
@@ -36,8 +36,8 @@ pub(crate) enum News {
     Ready,
     /// Nothing has happened, and I am here.
     Alive,
-    /// Some tiles of a frame.
-    Tiles(TileBatch),
+    /// What is known of some tiles of a frame, where somebody wants to know.
+    Facts(FactBatch),
     /// A node's part of the balance, for the display.
     Balance(Vec<u8>),
     /// I draw no more, and need no more pages.
@@ -68,7 +68,7 @@ pub(crate) struct SetUp {
     /// A source of reference bits by name.
     pub(crate) reference: String,
     pub(crate) hidden_per_cent: u32,
-    pub(crate) prefetch: bool,
+    pub(crate) prefetch: Prefetch,
     pub(crate) kernel: String,
     pub(crate) transport: TransportKind,
     pub(crate) spin_us: u64,
@@ -82,8 +82,25 @@ pub(crate) struct SetUp {
     pub(crate) balance: String,
     /// The picture.
     pub(crate) size: [u32; 2],
-    /// Tiles sent at a time at most; fewer than a packet holds for tests that count them.
+    /// Displays that the tiles go to.
+    pub(crate) displays: u16,
+    /// Tiles sent at a time at most; fewer than a parcel holds for tests that count them, and where each is waited for.
     pub(crate) batch_tiles: u16,
+    /// What is to be found out of each tile.
+    pub(crate) wants: Wants,
+}
+
+/// Which pages come before they are touched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+pub enum Prefetch {
+    /// None.
+    None,
+    /// Those that follow a missed page in address order, as many as are used.
+    Neighbours,
+    /// Those that a tile touched in the last frame, before it starts, where hints are the source.
+    Tiles,
+    /// Both.
+    Both,
 }
 
 /// How pages travel.
@@ -106,29 +123,14 @@ pub enum BindTo {
 }
 
 /// The order of the files that come with [`Order::SetUp`]: the image, the pages of each owner, the inboxes of each, the
-/// mailboxes of the nodes. A node's own letters come last.
+/// mailboxes of the nodes, and for a node that renders its links to the displays. A node's own letters come last.
 #[derive(Debug)]
 pub(crate) struct Files<T> {
     pub(crate) image: T,
     pub(crate) pages: Vec<T>,
     pub(crate) inboxes: Vec<T>,
     pub(crate) mailboxes: Vec<T>,
-}
-
-/// Tiles of one frame, packed into a packet, each with what was counted while it was drawn.
-#[derive(Debug, Default)]
-pub(crate) struct TileBatch {
-    frame: u32,
-    bytes: Vec<u8>,
-}
-
-/// A tile out of a batch.
-#[derive(Debug)]
-pub(crate) struct BatchedTile<'a> {
-    pub(crate) id: TileId,
-    pub(crate) tile: Tile,
-    pub(crate) counts: TileCounts,
-    pub(crate) pixels: &'a [u8],
+    pub(crate) displays: Vec<T>,
 }
 
 /// What was counted while tiles of a frame were drawn.
@@ -175,7 +177,7 @@ impl News {
             Self::Ready => vec![b'R'],
             Self::Alive => vec![b'A'],
             Self::Halted => vec![b'H'],
-            Self::Tiles(batch) => batch.to_packet(),
+            Self::Facts(batch) => batch.to_packet(b'I'),
             Self::Balance(message) => [&b"B"[..], message].concat(),
             Self::Failed(why) => [b"F", why.as_bytes()].concat(),
             Self::Report(report) => with_json(b'P', report)?,
@@ -187,7 +189,7 @@ impl News {
             [b'R'] => Ok(Self::Ready),
             [b'A'] => Ok(Self::Alive),
             [b'H'] => Ok(Self::Halted),
-            [b'T', rest @ ..] => Ok(Self::Tiles(TileBatch::from_bytes(rest)?)),
+            [b'I', rest @ ..] => Ok(Self::Facts(FactBatch::from_bytes(rest)?)),
             [b'B', message @ ..] => Ok(Self::Balance(message.to_vec())),
             [b'F', why @ ..] => Ok(Self::Failed(String::from_utf8_lossy(why).into_owned())),
             [b'P', json @ ..] => Ok(Self::Report(serde_json::from_slice(json)?)),
@@ -199,108 +201,39 @@ impl News {
 impl<T> Files<T> {
     /// All of them, in the order in which they travel.
     pub(crate) fn iter(&self) -> impl Iterator<Item = &T> {
-        core::iter::once(&self.image).chain(&self.pages).chain(&self.inboxes).chain(&self.mailboxes)
+        let shared = core::iter::once(&self.image).chain(&self.pages).chain(&self.inboxes);
+        shared.chain(&self.mailboxes).chain(&self.displays)
     }
 
     /// Sorts what came with the plan into its places.
-    pub(crate) fn from_list(
-        list: Vec<T>,
-        owners: usize,
-        transport: TransportKind,
-        mailboxes: usize,
-    ) -> Result<Self> {
-        let inboxes = if transport == TransportKind::ShmRing { owners } else { 0 };
+    pub(crate) fn from_list(list: Vec<T>, owners: usize, set_up: &SetUp) -> Result<Self> {
+        let inboxes = if set_up.transport == TransportKind::ShmRing { owners } else { 0 };
+        let displays = if set_up.node < set_up.nodes { set_up.displays.into() } else { 0 };
         let got = list.len();
         let mut list = list.into_iter();
         let image = list.next().context("the image did not come with the plan")?;
         let pages: Vec<T> = list.by_ref().take(owners).collect();
         let inboxes: Vec<T> = list.by_ref().take(inboxes).collect();
-        let mailboxes: Vec<T> = list.by_ref().take(mailboxes).collect();
+        let mailboxes: Vec<T> = list.by_ref().take(set_up.mailboxes.into()).collect();
+        let displays: Vec<T> = list.by_ref().take(displays).collect();
         if pages.len() != owners || list.next().is_some() {
             bail!("{got} files came with a plan for {owners} owners");
         }
-        Ok(Self { image, pages, inboxes, mailboxes })
+        Ok(Self { image, pages, inboxes, mailboxes, displays })
     }
 }
-
-impl TileBatch {
-    /// An empty batch for a frame.
-    pub(crate) const fn new(frame: u32) -> Self {
-        Self { frame, bytes: Vec::new() }
-    }
-
-    /// Adds a tile and what was counted for it, unless the packet would become too large.
-    pub(crate) fn push(&mut self, TileId(id): TileId, pixels: &[u8], counts: &TileCounts) -> bool {
-        if 1 + size_of::<u32>() + self.bytes.len() + TILE_HEADER_BYTES + pixels.len() > PACKET_BYTES_MAX {
-            return false;
-        }
-        self.bytes.extend(id.to_le_bytes());
-        // A tile has 1024 pixels, and each has a ray or two.
-        let counts = [counts.primary, counts.hits, counts.shadow, counts.lit, counts.damaged];
-        counts.iter().for_each(|count| {
-            self.bytes.extend(u16::try_from(*count).unwrap_or(u16::MAX).to_le_bytes());
-        });
-        self.bytes.extend(pixels);
-        true
-    }
-
-    pub(crate) const fn is_empty(&self) -> bool {
-        self.bytes.is_empty()
-    }
-
-    pub(crate) const fn frame(&self) -> u32 {
-        self.frame
-    }
-
-    fn to_packet(&self) -> Vec<u8> {
-        [&b"T"[..], &self.frame.to_le_bytes(), &self.bytes].concat()
-    }
-
-    fn from_bytes(bytes: &[u8]) -> Result<Self> {
-        let (frame, tiles) = bytes.split_first_chunk().context("half a batch of tiles")?;
-        Ok(Self { frame: u32::from_le_bytes(*frame), bytes: tiles.to_vec() })
-    }
-
-    /// The tiles in it, for a picture cut as `tiles` says.
-    ///
-    /// # Errors
-    /// A tile that is none of the picture's, or half a tile.
-    pub(crate) fn tiles(&self, tiles: Tiles) -> impl Iterator<Item = Result<BatchedTile<'_>>> {
-        let mut rest = &self.bytes[..];
-        core::iter::from_fn(move || {
-            if rest.is_empty() {
-                return None;
-            }
-            let taken = take_tile(rest, tiles);
-            rest = taken.as_ref().map_or(&[][..], |(_, rest)| rest);
-            Some(taken.map(|(tile, _)| tile))
-        })
-    }
-}
-
-fn take_tile(bytes: &[u8], tiles: Tiles) -> Result<(BatchedTile<'_>, &[u8])> {
-    let (header, rest) = bytes.split_first_chunk::<TILE_HEADER_BYTES>().context("half a tile's number")?;
-    let (id, counts) = header.split_first_chunk::<4>().context("half a tile's number")?;
-    let id = TileId(u32::from_le_bytes(*id));
-    let tile = tiles.get(id).with_context(|| format!("tile {} of a picture that has fewer", id.0))?;
-    let (pixels, rest) = rest.split_at_checked(tile.pixels()).context("half a tile")?;
-    let mut counts = counts.as_chunks::<2>().0.iter().map(|count| u64::from(u16::from_le_bytes(*count)));
-    let mut next = || counts.next().unwrap_or_default();
-    let counts = TileCounts {
-        primary: next(),
-        hits: next(),
-        shadow: next(),
-        lit: next(),
-        damaged: next(),
-        t_sum: 0.0,
-    };
-    Ok((BatchedTile { id, tile, counts, pixels }, rest))
-}
-
-/// Number and counts in front of a tile's pixels.
-const TILE_HEADER_BYTES: usize = 4 + 5 * 2;
 
 impl Drawn {
+    /// Adds what was counted for other tiles of the frame.
+    pub(crate) const fn merge(&mut self, other: &Self) {
+        self.primary_rays += other.primary_rays;
+        self.hits += other.hits;
+        self.shadow_rays += other.shadow_rays;
+        self.lit += other.lit;
+        self.damaged += other.damaged;
+    }
+
+    /// Adds what was counted for one.
     pub(crate) const fn add(&mut self, counts: &TileCounts) {
         self.primary_rays += counts.primary;
         self.hits += counts.hits;
@@ -319,58 +252,13 @@ fn with_json(letter: u8, value: &impl Serialize) -> Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rt_core::TILE_SIZE;
-
-    #[test]
-    fn tiles_travel_in_packets_that_fit() {
-        let tiles = Tiles::of(3 * TILE_SIZE - 5, 2 * TILE_SIZE - 9);
-        let counts = TileCounts { primary: 1, hits: 2, shadow: 3, lit: 4, damaged: 5, t_sum: 0.0 };
-        let mut batch = TileBatch::new(7);
-        for id in tiles.ids() {
-            let pixels = vec![u8::try_from(id.0).unwrap(); tiles.get(id).unwrap().pixels()];
-            assert!(batch.push(id, &pixels, &counts));
-        }
-        let News::Tiles(batch) = News::from_packet(&News::Tiles(batch).to_packet().unwrap()).unwrap() else {
-            panic!("tiles became something else");
-        };
-        let drawn = Drawn { frame: 7, primary_rays: 6, hits: 12, shadow_rays: 18, lit: 24, damaged: 30 };
-        let found: Vec<_> = batch.tiles(tiles).map(Result::unwrap).collect();
-        assert_eq!((found.len(), batch.frame()), (6, 7));
-        let mut sum = Drawn { frame: 7, ..Drawn::default() };
-        for BatchedTile { id, tile, counts, pixels } in found {
-            assert_eq!(Some(tile), tiles.get(id));
-            assert!(pixels.iter().all(|pixel| u32::from(*pixel) == id.0));
-            sum.add(&counts);
-        }
-        assert_eq!(sum, drawn);
-    }
-
-    #[test]
-    fn a_full_batch_takes_no_more() {
-        let mut batch = TileBatch::new(0);
-        let pixels = [0; 256];
-        let pushed =
-            (0..1000).take_while(|id| batch.push(TileId(*id), &pixels, &TileCounts::default())).count();
-        assert_eq!(pushed, (PACKET_BYTES_MAX - 5) / (256 + TILE_HEADER_BYTES));
-        assert!(News::Tiles(batch).to_packet().unwrap().len() <= PACKET_BYTES_MAX);
-    }
-
-    #[test]
-    fn half_a_tile_and_a_tile_of_another_picture_are_errors() {
-        let tiles = Tiles::of(TILE_SIZE, TILE_SIZE);
-        for bytes in [&[0, 0, 0][..], &[0, 0, 0, 0, 1, 2], &[9, 0, 0, 0]] {
-            let batch = TileBatch { frame: 0, bytes: bytes.to_vec() };
-            assert!(batch.tiles(tiles).next().unwrap().is_err());
-            assert_eq!(batch.tiles(tiles).count(), 1);
-        }
-    }
 
     #[test]
     fn packets_that_are_none_are_errors() {
         for packet in [&b""[..], b"Z", b"S{", b"Dxx", b"GG", b"Txx", b"N", b"N123"] {
             assert!(Order::from_packet(packet).is_err());
         }
-        for packet in [&b""[..], b"T12", b"P[]", b"RR"] {
+        for packet in [&b""[..], b"T12", b"P[]", b"RR", b"I12", b"D123"] {
             assert!(News::from_packet(packet).is_err());
         }
     }

@@ -56,7 +56,7 @@ impl fmt::Display for Surface {
 }
 
 /// The isosurfaces of an image that a run shows.
-pub(crate) struct Shown<'a> {
+pub(crate) struct Surfaces<'a> {
     /// What was asked for all moments that do not say themselves.
     asked: &'a [Surface],
     source: &'a Source,
@@ -65,7 +65,7 @@ pub(crate) struct Shown<'a> {
     auto: OnceCell<f32>,
 }
 
-impl<'a> Shown<'a> {
+impl<'a> Surfaces<'a> {
     /// What `--iso` asks for, of an image that a session is replayed on.
     pub(crate) fn new(
         asked: &'a [Surface],

@@ -8,8 +8,9 @@
 //! | [`size`] | `16K`, `40%`, `640x480`: how people write sizes |
 //! | [`plan`] | from what was asked for to what each process may hold; pure arithmetic |
 //! | [`run`] | a whole run: plan, start, frames, report |
-//! | `supervisor` | starts processes, watches them, gathers tiles, ends them |
-//! | `canvas` | a frame that is being put together from tiles |
+//! | `supervisor` | starts processes, watches them, ends them |
+//! | `balance` | a node's part of the balance: which tile is drawn next, and by whom |
+//! | [`gather`] | tiles on their way from the threads that draw them to the displays |
 //! | `loss` | processes that die while the others go on |
 //! | `control`, `link` | what supervisor and nodes say to each other, and the socket it goes over |
 //! | `node`, `painter`, `noted`, `ports` | a process of the cluster: its pages, its render threads and what they use, its ways to the others |
@@ -18,6 +19,7 @@
 //! | `isovalue` | which isosurfaces of a volume are shown |
 //! | [`trace`] | the pages that a session touches, recorded to compare replacement policies |
 //! | [`report`] | what a run prints and writes |
+//! | [`diagnostic`] | pictures of who draws what, who owns what, where misses and time go |
 //! | `describe` | a volume in words and bars |
 //! | `picture`, `output` | pixels to PNG, and their hash; files that are whole or not there |
 //!
@@ -35,10 +37,11 @@
 //! they end.
 
 mod balance;
-mod canvas;
 pub mod command_line;
 mod control;
 mod describe;
+pub mod diagnostic;
+pub mod gather;
 mod isovalue;
 mod link;
 mod loss;

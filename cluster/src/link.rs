@@ -8,9 +8,10 @@ use std::io::{self, IoSlice, IoSliceMut};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
 use rustix::net::{
     AddressFamily, RecvAncillaryBuffer, RecvAncillaryMessage, RecvFlags, ReturnFlags, SendAncillaryBuffer,
-    SendAncillaryMessage, SendFlags, SocketFlags, SocketType, recvmsg, sendmsg, socketpair,
+    SendAncillaryMessage, SendFlags, SocketFlags, SocketType, recv, recvmsg, sendmsg, socketpair,
 };
 
 /// One end of the socket. Several threads may send; packets do not mix.
@@ -74,6 +75,22 @@ impl Link {
         if sent == bytes.len() { Ok(()) } else { Err(io::ErrorKind::WriteZero.into()) }
     }
 
+    /// Receives the next packet into `buffer` and gives back its length; `None` when the other end is gone. What does not
+    /// fit is lost, and so are files.
+    ///
+    /// A reset is treated as in [`receive`](Self::receive).
+    pub(crate) fn receive_into(&self, buffer: &mut [u8]) -> io::Result<Option<usize>> {
+        let received = match recv(&self.socket, &mut *buffer, RecvFlags::empty()) {
+            Err(Errno::CONNRESET) => recv(&self.socket, buffer, RecvFlags::empty()),
+            received => received,
+        };
+        match received {
+            Err(Errno::CONNRESET) | Ok((0, _)) => Ok(None),
+            Ok((length, _)) => Ok(Some(length)),
+            Err(error) => Err(error.into()),
+        }
+    }
+
     /// Receives the next packet; `None` when the other end is gone.
     ///
     /// Who ends with packets unread resets the link. The system tells that once, and before what it had sent.
@@ -115,14 +132,14 @@ impl AsFd for Link {
     }
 }
 
-/// Waits until one of `links` has something to receive, or its other end is gone; at most `timeout_ms`. Returns which.
-pub(crate) fn wait_for_any(links: &[&Link], timeout_ms: u32) -> io::Result<Vec<usize>> {
+/// Waits until one of `files` has something to receive, or its other end is gone; at most `timeout_ms`. Returns which.
+pub(crate) fn wait_for_any(files: &[BorrowedFd<'_>], timeout_ms: u32) -> io::Result<Vec<usize>> {
     let mut polled: Vec<PollFd<'_>> =
-        links.iter().map(|link| PollFd::from_borrowed_fd(link.as_fd(), PollFlags::IN)).collect();
+        files.iter().map(|file| PollFd::from_borrowed_fd(*file, PollFlags::IN)).collect();
     let timeout =
         Timespec { tv_sec: i64::from(timeout_ms / 1000), tv_nsec: i64::from(timeout_ms % 1000) * 1_000_000 };
     match poll(&mut polled, Some(&timeout)) {
-        Ok(_) | Err(rustix::io::Errno::INTR) => {}
+        Ok(_) | Err(Errno::INTR) => {}
         Err(error) => return Err(error.into()),
     }
     let ready = |(index, polled): (usize, &PollFd<'_>)| (!polled.revents().is_empty()).then_some(index);
@@ -141,7 +158,7 @@ mod tests {
         one.send(b"first").unwrap();
         one.send_with(b"second", &[writer.as_fd()]).unwrap();
         drop(writer);
-        assert_eq!(wait_for_any(&[&other], 1000).unwrap(), [0]);
+        assert_eq!(wait_for_any(&[other.as_fd()], 1000).unwrap(), [0]);
         assert_eq!(other.receive().unwrap().unwrap().bytes, b"first");
         let second = other.receive().unwrap().unwrap();
         assert_eq!((&second.bytes[..], second.files.len()), (&b"second"[..], 1));
@@ -153,10 +170,22 @@ mod tests {
     }
 
     #[test]
+    fn what_was_sent_before_the_end_is_received_though_packets_were_left_unread() {
+        let (one, other) = Link::pair().unwrap();
+        other.send(b"unread").unwrap();
+        one.send(b"last words").unwrap();
+        drop(one);
+        let mut buffer = [0; 64];
+        assert_eq!(other.receive_into(&mut buffer).unwrap(), Some(10));
+        assert_eq!(&buffer[..10], b"last words");
+        assert_eq!(other.receive_into(&mut buffer).unwrap(), None);
+    }
+
+    #[test]
     fn the_end_of_one_side_is_seen_by_the_other() {
         let (one, other) = Link::pair().unwrap();
         drop(one);
-        assert_eq!(wait_for_any(&[&other], 1000).unwrap(), [0]);
+        assert_eq!(wait_for_any(&[other.as_fd()], 1000).unwrap(), [0]);
         assert!(other.receive().unwrap().is_none());
         assert_eq!(other.send(b"x").unwrap_err().kind(), io::ErrorKind::BrokenPipe);
     }

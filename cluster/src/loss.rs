@@ -21,15 +21,27 @@ pub struct Loss {
     pub tiles_dealt_again: usize,
 }
 
-/// Kill process `process` once `tiles` tiles of frame `frame` are in place. Written `PROCESS@FRAME:TILES`.
+/// Kill process `process` at this moment. Written `PROCESS@FRAME:TILES` or `PROCESS@start`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Kill {
     /// Its number; stores follow the nodes.
     pub process: u16,
-    /// Number of the frame.
-    pub frame: u32,
-    /// Tiles of it that are there by then.
-    pub tiles: usize,
+    /// When.
+    pub when: Moment,
+}
+
+/// A moment at which a process may be killed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Moment {
+    /// As soon as every process has its plan: some have filled their pages, some have not.
+    Start,
+    /// Once so many tiles of this frame are in place.
+    Drawn {
+        /// Number of the frame.
+        frame: u32,
+        /// Tiles of it that are there by then.
+        tiles: usize,
+    },
 }
 
 /// Whether every page has a holder that lives.
@@ -58,11 +70,15 @@ impl FromStr for Kill {
     fn from_str(text: &str) -> Result<Self> {
         let parts = || {
             let (process, moment) = text.split_once('@')?;
+            let process = process.parse().ok()?;
+            if moment == "start" {
+                return Some(Self { process, when: Moment::Start });
+            }
             let (frame, tiles) = moment.split_once(':')?;
-            let (process, frame) = (process.parse().ok()?, frame.parse().ok()?);
-            Some(Self { process, frame, tiles: tiles.parse().ok()? })
+            let when = Moment::Drawn { frame: frame.parse().ok()?, tiles: tiles.parse().ok()? };
+            Some(Self { process, when })
         };
-        parts().context("expected PROCESS@FRAME:TILES, as in 1@0:200")
+        parts().context("expected PROCESS@FRAME:TILES or PROCESS@start, as in 1@0:200")
     }
 }
 
@@ -84,7 +100,11 @@ mod tests {
 
     #[test]
     fn moments_are_read_or_refused() {
-        assert_eq!("1@2:30".parse::<Kill>().unwrap(), Kill { process: 1, frame: 2, tiles: 30 });
+        assert_eq!(
+            "1@2:30".parse::<Kill>().unwrap(),
+            Kill { process: 1, when: Moment::Drawn { frame: 2, tiles: 30 } }
+        );
+        assert_eq!("3@start".parse::<Kill>().unwrap(), Kill { process: 3, when: Moment::Start });
         for text in ["", "1", "1@2", "1:2@3", "a@1:2", "1@-1:0", "70000@1:1"] {
             assert!(text.parse::<Kill>().is_err(), "{text}");
         }

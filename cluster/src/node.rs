@@ -12,7 +12,7 @@ use std::thread::{self, JoinHandle};
 
 use anyhow::{Context, Result, anyhow, bail};
 use dsm_core::id::{ClusterId, NodeId};
-use dsm_core::node::Config;
+use dsm_core::node::{Config, NEIGHBOURS_MAX};
 use dsm_core::placement::Stripes;
 use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use dsm_core::stats::{Histogram, HomeStats};
@@ -23,7 +23,8 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use transport_shm::{HeldPages, Server, now};
 
 use crate::balance::{Balance, BalanceStats};
-use crate::control::{Files, News, Order, SetUp};
+use crate::control::{Files, News, Order, Prefetch, SetUp};
+use crate::gather::Outlets;
 use crate::link::Link;
 use crate::painter::Painter;
 use crate::ports::{EPOCH, Routes, layout};
@@ -66,6 +67,7 @@ struct Process {
     set_up: SetUp,
     link: Arc<Link>,
     routes: Routes,
+    outlets: Arc<Outlets>,
     image: OwnedFd,
     /// The way to each node, and where their letters come in.
     mailboxes: Vec<OwnedFd>,
@@ -100,14 +102,15 @@ impl Process {
         let mut files = packet.files;
         let has_letters = set_up.node < set_up.mailboxes;
         let letters = has_letters.then(|| files.pop()).flatten();
-        let Files { image, pages, inboxes, mailboxes } =
-            Files::from_list(files, owners, set_up.transport, set_up.mailboxes.into())?;
+        let Files { image, pages, inboxes, mailboxes, displays } = Files::from_list(files, owners, &set_up)?;
+        let outlets = Arc::new(Outlets::new(displays.into_iter().map(Link::from_socket).collect()));
         let routes = Routes::new(&set_up, placement, pages, inboxes)?;
         say_alive(link, set_up.deadline_us)?;
         let process = Self {
             set_up: *set_up,
             link: link.clone(),
             routes,
+            outlets,
             image,
             mailboxes,
             letters,
@@ -139,23 +142,25 @@ impl Process {
     }
 
     fn run(mut self) -> Result<()> {
-        // Until every process has filled its pages nobody reads any: what is read never changes.
-        match self.next_order()? {
-            Some(Order::Go) => {}
-            Some(_) => bail!("the order after the plan is not to go"),
-            None => return Ok(()),
+        // Until every process has filled its pages, or is dead, nobody reads any: what is read never changes.
+        let mut dead = Vec::new();
+        loop {
+            match self.next_order()? {
+                Some(Order::Go) => break,
+                Some(Order::Down(process)) => dead.push(process),
+                Some(_) => bail!("the order after the plan is not to go"),
+                None => return Ok(()),
+            }
         }
         let mut crew = self.start()?;
+        dead.into_iter().for_each(|process| crew.bury(process));
         loop {
             match self.next_order()? {
                 Some(Order::Draw(frame)) => crew.balance.iter().for_each(|balance| balance.begin(frame)),
                 Some(Order::Balance(deal)) => {
                     crew.balance.iter().try_for_each(|balance| balance.handle_deal(&deal))?;
                 }
-                Some(Order::Down(process)) => {
-                    crew.region.iter().for_each(|region| region.handle_peer_down(NodeId(process)));
-                    crew.balance.iter().for_each(|balance| balance.handle_peer_down(process));
-                }
+                Some(Order::Down(process)) => crew.bury(process),
                 Some(Order::Halt) => {
                     crew.halt()?;
                     self.link.send(&News::Halted.to_packet()?)?;
@@ -201,10 +206,13 @@ impl Process {
                 region: region.clone(),
                 port: self.routes.port(thread)?,
                 link: self.link.clone(),
+                outlets: self.outlets.clone(),
                 balance: balance.clone(),
                 image_bytes: self.set_up.image_bytes,
                 kernel,
                 batch_tiles: self.set_up.batch_tiles,
+                wants: self.set_up.wants,
+                placement: self.placement,
             };
             let link = self.link.clone();
             let name = format!("render {thread}");
@@ -252,6 +260,8 @@ impl Process {
             // SAFETY: the image is a memory file that the supervisor has sealed against writing and shrinking.
             return Ok(unsafe { Region::replicated(self.image.as_fd(), pages, page_bytes as usize) }?);
         }
+        let SetUp { hidden_per_cent, prefetch, .. } = self.set_up;
+        let has_neighbours = matches!(prefetch, Prefetch::Neighbours | Prefetch::Both);
         let node = Config {
             cluster: ClusterId(cluster),
             epoch: EPOCH,
@@ -259,6 +269,7 @@ impl Process {
             resend_us_min: RESEND_US.min(deadline_us),
             dead_after_us: deadline_us,
             deadline_us,
+            neighbours_max: if has_neighbours { NEIGHBOURS_MAX } else { 0 },
             ..Config::new(self.me(), self.placement, page_bytes)
         };
         let home = match self.routes.own() {
@@ -267,7 +278,6 @@ impl Process {
         };
         let policy: PolicyKind = self.set_up.policy.parse()?;
         let reference: ReferenceSource = self.set_up.reference.parse()?;
-        let SetUp { hidden_per_cent, prefetch, .. } = self.set_up;
         let backend = match self.set_up.backend.as_str() {
             "auto" => None,
             name => Some(name.parse::<BackendKind>()?),
@@ -278,7 +288,7 @@ impl Process {
             policy,
             reference,
             hidden_per_cent,
-            prefetch,
+            prefetch: matches!(prefetch, Prefetch::Tiles | Prefetch::Both),
             seed,
             slot_count: slots,
             home,
@@ -327,9 +337,12 @@ impl Process {
             received_bytes: stats.received_bytes,
             evictions: stats.evicted_pages,
             soft_faults: stats.soft_faults,
-            prefetched: stats.prefetched_pages,
-            prefetch_used: stats.prefetch_used,
-            prefetch_wasted: stats.prefetch_wasted,
+            prefetched: stats.prefetch().asked,
+            prefetch_used: stats.prefetch().used,
+            prefetch_wasted: stats.prefetch().wasted,
+            neighbours: stats.neighbour_prefetch.asked,
+            neighbours_used: stats.neighbour_prefetch.used,
+            neighbours_wasted: stats.neighbour_prefetch.wasted,
             resends: stats.resends,
             miss_p50_us: us(500),
             miss_p99_us: us(990),
@@ -374,6 +387,12 @@ impl Process {
 }
 
 impl Crew {
+    /// Another process is dead.
+    fn bury(&self, process: u16) {
+        self.region.iter().for_each(|region| region.handle_peer_down(NodeId(process)));
+        self.balance.iter().for_each(|balance| balance.handle_peer_down(process));
+    }
+
     /// Waits until the tiles under way are drawn. Nobody wants them: they were drawn twice because somebody died, or the
     /// run is over.
     fn halt(&mut self) -> Result<BalanceStats> {

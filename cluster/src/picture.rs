@@ -4,7 +4,6 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::Result;
-use rt_core::Tile;
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::output::write_whole;
@@ -23,16 +22,12 @@ impl Picture {
         Self { size, pixels: vec![0; size.width as usize * size.height as usize] }
     }
 
-    /// Puts a tile in place.
-    ///
-    /// # Panics
-    /// When the tile does not lie in the picture, or its pixels are not its own.
-    pub(crate) fn put(&mut self, tile: Tile, pixels: &[u8]) {
-        let (row_pixels, width) = (self.size.width as usize, tile.width as usize);
-        for (y, row) in (tile.y as usize..).zip(pixels.chunks_exact(width)) {
-            let start = y * row_pixels + tile.x as usize;
-            self.pixels[start..start + width].copy_from_slice(row);
-        }
+    pub(crate) fn pixels_mut(&mut self) -> &mut [u8] {
+        &mut self.pixels
+    }
+
+    pub(crate) const fn size(&self) -> PictureSize {
+        self.size
     }
 
     /// A grey byte for each pixel, row by row from the upper left.
@@ -65,23 +60,6 @@ impl Picture {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rt_core::{TILE_SIZE, Tiles};
-
-    #[test]
-    fn tiles_of_every_size_land_where_they_belong() {
-        let edge = TILE_SIZE as usize;
-        let size = PictureSize { width: 2 * TILE_SIZE + 5, height: TILE_SIZE + 5 };
-        let tiles = Tiles::of(size.width, size.height);
-        let mut picture = Picture::new(size);
-        for id in tiles.ids() {
-            let tile = tiles.get(id).unwrap();
-            picture.put(tile, &vec![u8::try_from(id.0).unwrap() + 1; tile.pixels()]);
-        }
-        for (index, pixel) in picture.pixels().iter().enumerate() {
-            let (x, y) = (index % (2 * edge + 5), index / (2 * edge + 5));
-            assert_eq!(usize::from(*pixel), y / edge * 3 + x / edge + 1);
-        }
-    }
 
     #[test]
     fn the_hash_tells_pixels_and_sizes_apart() {

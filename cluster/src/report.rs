@@ -27,6 +27,9 @@ pub struct RunReport {
     /// How tiles came to nodes: `static`, `demand:2`, `steal` or `steal-near`.
     #[serde(default)]
     pub balance: String,
+    /// Threads that put the pictures together.
+    #[serde(default = "one_display")]
+    pub displays: u16,
     /// One entry for each frame, in order.
     pub frames: Vec<FrameReport>,
     /// One entry for each process that saw the end, in order of its number.
@@ -101,6 +104,16 @@ pub struct FrameReport {
     /// Tiles that another node drew than the one they were dealt to.
     #[serde(default)]
     pub moved_tiles: u32,
+    /// Time that the displays spent in communication: taking tiles and putting them in place, in milliseconds, summed
+    /// over the displays.
+    #[serde(default)]
+    pub gather_ms: f64,
+    /// Bytes in which the tiles came.
+    #[serde(default)]
+    pub gather_bytes: u64,
+    /// Tiles that were not as in the frame before.
+    #[serde(default)]
+    pub changed_tiles: u64,
 }
 
 /// One process.
@@ -159,6 +172,15 @@ pub struct ProcessReport {
     /// Of those, pages that left unused.
     #[serde(default)]
     pub prefetch_wasted: u64,
+    /// Of the pages asked for, those that came along with one that they follow; the others were expected of a tile.
+    #[serde(default)]
+    pub neighbours: u64,
+    /// Of those, pages that were used.
+    #[serde(default)]
+    pub neighbours_used: u64,
+    /// Of those, pages that left unused.
+    #[serde(default)]
+    pub neighbours_wasted: u64,
     /// Requests sent again.
     pub resends: u64,
     /// Median time of a miss, from the fault to the page's presence, in microseconds.
@@ -195,6 +217,12 @@ pub struct Totals {
     pub rays: u64,
     /// Millions of rays per second.
     pub mrays_per_second: f64,
+    /// Time that the displays spent in communication, in milliseconds.
+    #[serde(default)]
+    pub gather_ms: f64,
+    /// Bytes in which the tiles came.
+    #[serde(default)]
+    pub gather_bytes: u64,
     /// Pages fetched.
     pub fetched_pages: u64,
     /// Bytes of those pages.
@@ -226,6 +254,8 @@ impl Totals {
             frames_per_second: per_second(frames.len() as f64),
             rays,
             mrays_per_second: per_second(rays as f64) / 1e6,
+            gather_ms: frames.iter().map(|frame| frame.gather_ms).sum(),
+            gather_bytes: frames.iter().map(|frame| frame.gather_bytes).sum(),
             fetched_pages: sum(|node| node.fetched_pages),
             received_bytes: sum(|node| node.received_bytes),
             evictions: sum(|node| node.evictions),
@@ -283,6 +313,16 @@ impl Display for RunReport {
             thousands(totals.evictions),
             Bytes(totals.overhead_bytes_max),
         )?;
+        let of_frames = |sum: f64| sum / self.frames.len().max(1) as f64;
+        let pixels = u64::from(self.size[0]) * u64::from(self.size[1]);
+        let sent = totals.gather_bytes as f64 / (pixels * self.frames.len().max(1) as u64) as f64;
+        write!(
+            f,
+            "\ngathered by {}: {:.3} ms in communication a frame, {:.1} % of the pixels' bytes",
+            if self.displays == 1 { "1 display".to_owned() } else { format!("{} displays", self.displays) },
+            of_frames(totals.gather_ms),
+            100.0 * sent,
+        )?;
         let declined: Vec<&String> = self.nodes.iter().flat_map(|node| &node.backends_declined).collect();
         if let Some(first) = declined.first() {
             write!(f, "\nbackends refused by the system: {first}")?;
@@ -312,6 +352,11 @@ impl Display for RunReport {
 
 /// The copies of each page in a report that does not say.
 const fn one() -> u8 {
+    1
+}
+
+/// The displays of a report that does not say.
+const fn one_display() -> u16 {
     1
 }
 
@@ -352,6 +397,7 @@ fn table(nodes: &[ProcessReport]) -> String {
         "fetched",
         "evicted",
         "merged",
+        "ahead/used/wasted",
         "miss p50/p99",
         "paging",
     ];
@@ -367,6 +413,7 @@ fn table(nodes: &[ProcessReport]) -> String {
             thousands(node.fetched_pages),
             thousands(node.evictions),
             thousands(node.merged_faults),
+            ahead(node),
             format!("{:.1} / {:.1} us", node.miss_p50_us, node.miss_p99_us),
             format!("{} {} {}", node.backend, node.policy, node.reference).trim().to_owned(),
         ]
@@ -382,6 +429,14 @@ fn table(nodes: &[ProcessReport]) -> String {
         text.push('\n');
     }
     text
+}
+
+/// Pages asked for before they were touched, and what became of them: the rest are still there. A dash for none.
+fn ahead(node: &ProcessReport) -> String {
+    if node.prefetched == 0 {
+        return "-".to_owned();
+    }
+    [node.prefetched, node.prefetch_used, node.prefetch_wasted].map(thousands).join(" / ")
 }
 
 /// How many triangles, spheres and samples, of what there are.
@@ -430,6 +485,9 @@ mod tests {
             lit: 1,
             damaged_pixels: 0,
             moved_tiles: 0,
+            gather_ms: 0.5,
+            gather_bytes: 7,
+            changed_tiles: 1,
         };
         let node = ProcessReport {
             fetched_pages: 3,
@@ -439,6 +497,7 @@ mod tests {
         };
         let totals = Totals::of(&[frame.clone(), frame], &[node.clone(), node]);
         assert_eq!((totals.frames_per_second, totals.mrays_per_second), (2.0, 2.0));
+        assert_eq!((totals.gather_ms, totals.gather_bytes), (1.0, 14));
         assert_eq!((totals.fetched_pages, totals.overhead_bytes_max), (6, 2));
     }
 }

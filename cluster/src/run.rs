@@ -2,7 +2,9 @@
 
 use core::num::NonZeroU16;
 use core::time::Duration;
+use std::ffi::{OsStr, OsString};
 use std::os::fd::OwnedFd;
+use std::path::{Path, PathBuf};
 use std::thread::{self, available_parallelism};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
@@ -15,15 +17,17 @@ use rt_core::{Frame, Header, HeaderError, Isosurface, Kernel, SceneNeeds, Solver
 use scene::builtin::BuiltIn;
 use transport_shm::{Inbox, Layout, PageFile};
 
-pub use crate::control::{BindTo, TransportKind};
+pub use crate::control::{BindTo, Prefetch, TransportKind};
 pub use crate::isovalue::{Isovalue, Surface};
-pub use crate::loss::{Kill, Loss};
+pub use crate::loss::{Kill, Loss, Moment};
 pub use crate::picture::Picture;
 pub use crate::scene_source::{Source, VolumeInput};
 
 use crate::balance::{self, RESEND_US};
 use crate::control::{Files, SetUp};
-use crate::isovalue::Shown;
+use crate::diagnostic::{Diagnostic, FrameFacts, Wants, sheet_of, sheet_of_all};
+use crate::gather::{DISPLAYS_MAX, Gathered};
+use crate::isovalue::Surfaces;
 use crate::plan::{Demand, Plan};
 use crate::ports::EPOCH;
 use crate::progress::FrameBar;
@@ -58,14 +62,16 @@ pub struct Options {
     pub reference: ReferenceSource,
     /// How many per cent of its slots hold hidden pages, where soft faults are the source.
     pub hidden_per_cent: u32,
-    /// Whether pages are brought before a tile starts, where hints are the source.
-    pub prefetch: bool,
+    /// Which pages come before they are touched.
+    pub prefetch: Prefetch,
     /// How tiles are drawn; `None`: by the fastest kernel that the node's processor has.
     pub kernel: Option<Kernel>,
     /// How pages travel.
     pub transport: TransportKind,
     /// How tiles come to nodes.
     pub balance: Balancer,
+    /// Threads that put pictures together, each a part of them.
+    pub displays: u16,
     /// The picture's size.
     pub size: PictureSize,
     /// What is looked at, moment by moment.
@@ -82,6 +88,8 @@ pub struct Options {
     pub lose_per_mille: u32,
     /// Copies of each page, on as many owners. With two or more, processes may die and the others go on.
     pub replicas: u8,
+    /// Pictures of what happens that are to be had of each frame.
+    pub diagnostics: Vec<Diagnostic>,
     /// Processes that are killed on purpose.
     pub kills: Vec<Kill>,
     /// Makes everything that is random repeatable.
@@ -107,10 +115,11 @@ impl Default for Options {
             policy: PolicyKind::Recall,
             reference: ReferenceSource::Hints,
             hidden_per_cent: HIDDEN_PER_CENT,
-            prefetch: true,
+            prefetch: Prefetch::Tiles,
             kernel: None,
             transport: TransportKind::Shm,
             balance: Balancer::StealNear,
+            displays: 1,
             size: PictureSize { width: 512, height: 512 },
             session: Session::default(),
             replay: Replay::Frames,
@@ -119,6 +128,7 @@ impl Default for Options {
             deadline: Duration::from_secs(5),
             lose_per_mille: 0,
             replicas: 1,
+            diagnostics: Vec::new(),
             kills: Vec::new(),
             seed: 1,
             quiet: false,
@@ -127,14 +137,25 @@ impl Default for Options {
     }
 }
 
-/// Replays the session and hands over each picture as soon as it is whole, with the number of its moment.
+/// A frame that was drawn, as soon as it is whole.
+#[derive(Debug)]
+pub struct Shown<'a> {
+    /// The moment of the session that it shows.
+    pub moment: u32,
+    /// The frame.
+    pub picture: &'a Picture,
+    facts: Option<&'a FrameFacts>,
+    diagnostics: &'a [Diagnostic],
+}
+
+/// Replays the session and hands over each frame.
 ///
 /// The calling program must begin with [`run_as_node_if_asked`](crate::run_as_node_if_asked).
 ///
 /// # Errors
 /// The options contradict themselves or the scene; the scene cannot be used; a process of the cluster ended, hung, or
 /// could not go on. No process is left behind in any case.
-pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<()>) -> Result<RunReport> {
+pub fn run(options: &Options, mut on_frame: impl FnMut(&Shown<'_>) -> Result<()>) -> Result<RunReport> {
     options.check()?;
     let image = options.source.open(options.page_bytes, options.quiet)?;
     check_built(&image)?;
@@ -142,7 +163,7 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<
     let run = Run::plan(options, &image)?;
     let (name, header) = (image.name.clone(), image.header);
     let Options { session, size, solver, .. } = options;
-    let shown = Shown::new(&options.isosurfaces, session, &options.source, &image)?;
+    let shown = Surfaces::new(&options.isosurfaces, session, &options.source, &image)?;
     let moments = session.frames(&header.view, *size, *solver, |asked| shown.of_moment(asked))?;
     let notes = image.notes.iter().map(ToString::to_string).chain(left_out_of_frames()).collect();
     let (mailboxes, letters) = balance::mailboxes(run.mailboxes(options))?;
@@ -166,6 +187,7 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(u32, &Picture) -> Result<
         transport: serde_json::to_value(options.transport)?.as_str().unwrap_or_default().to_owned(),
         balance: options.balance.to_string(),
         totals: Totals::of(&frames, &nodes),
+        displays: options.displays,
         frames,
         nodes,
         replicas: options.replicas,
@@ -192,7 +214,7 @@ fn replay(
     options: &Options,
     moments: &[Frame],
     (supervisor, ledger): (&mut Supervisor, &mut Ledger<'_>),
-    on_frame: &mut impl FnMut(u32, &Picture) -> Result<()>,
+    on_frame: &mut impl FnMut(&Shown<'_>) -> Result<()>,
 ) -> Result<Vec<FrameReport>> {
     let bar = FrameBar::new(options.quiet, options.session.count());
     let (start, mut frames, mut drawn) = (Instant::now(), Vec::new(), None);
@@ -202,7 +224,7 @@ fn replay(
         let frame = Frame { number: u32::try_from(frames.len())?, ..moments[moment] };
         let drawing = supervisor.draw(frame, ledger)?;
         let number = u32::try_from(moment)?;
-        on_frame(number, &drawing.picture)?;
+        on_frame(&drawing.shown(number, &options.diagnostics))?;
         let time = options.session.moments()[moment].time;
         frames.push(drawing.report(number, time, frame.isosurfaces()));
         bar.set(number + 1);
@@ -259,6 +281,7 @@ impl Run {
             pages: pages.collect::<Result<_>>()?,
             inboxes: inboxes.collect::<Result<_>>()?,
             mailboxes,
+            displays: Vec::new(),
         })
     }
 
@@ -297,6 +320,11 @@ impl Run {
                 Balancer::Demand { .. } => 1,
                 _ if options.kills.is_empty() => u16::MAX,
                 _ => BATCH_TILES_COUNTED,
+            },
+            displays: options.displays,
+            wants: Wants {
+                facts: !options.diagnostics.is_empty(),
+                owners: options.diagnostics.contains(&Diagnostic::PageOwner),
             },
         };
         (0..processes).map(set_up).collect()
@@ -377,6 +405,9 @@ impl Options {
         if self.threads.is_some_and(|threads| threads.get() > THREADS_MAX) {
             bail!("a node has at most {THREADS_MAX} render threads");
         }
+        if !(1..=DISPLAYS_MAX).contains(&self.displays) {
+            bail!("--displays is a number from 1 to {DISPLAYS_MAX}; got {}", self.displays);
+        }
         if self.deadline.is_zero() {
             bail!("--deadline 0 leaves no time for anything");
         }
@@ -398,21 +429,58 @@ impl Options {
     }
 }
 
+impl Shown<'_> {
+    /// Writes the frame to a PNG file, and the diagnostics that were asked for beside it: with `out.png` go
+    /// `out.misses.png` and so on, and, if there are several, `out.diagnostic.png` with all side by side.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let Self { picture, facts, diagnostics, .. } = self;
+        picture.write(path)?;
+        let Some(facts) = facts else { return Ok(()) };
+        for kind in *diagnostics {
+            sheet_of(*kind, picture, facts).write(&beside(path, kind.name()))?;
+        }
+        if diagnostics.len() > 1 {
+            sheet_of_all(diagnostics, picture, facts).write(&beside(path, "diagnostic"))?;
+        }
+        Ok(())
+    }
+}
+
+/// A file of this kind beside another one.
+fn beside(path: &Path, kind: &str) -> PathBuf {
+    let extension = path.extension().unwrap_or(OsStr::new("png"));
+    let mut new = OsString::from(kind);
+    new.push(".");
+    new.push(extension);
+    path.with_extension(new)
+}
+
 impl Drawing {
+    fn shown<'a>(&'a self, moment: u32, diagnostics: &'a [Diagnostic]) -> Shown<'a> {
+        Shown { moment, picture: &self.gathered.picture, facts: self.facts.as_ref(), diagnostics }
+    }
+
     /// What is told of the frame, which showed a moment of this number and time and these isosurfaces.
     fn report(&self, moment: u32, time: f64, isosurfaces: &[Isosurface]) -> FrameReport {
+        let Gathered { picture, counts, traffic } = &self.gathered;
         FrameReport {
-            frame: self.counts.frame,
+            frame: counts.frame,
             moment,
             time,
             isovalues: isosurfaces.iter().map(|surface| surface.value).collect(),
             ms: self.ms,
-            image_hash: self.picture.hash(),
-            primary_rays: self.counts.primary_rays,
-            hits: self.counts.hits,
-            shadow_rays: self.counts.shadow_rays,
-            lit: self.counts.lit,
-            damaged_pixels: self.counts.damaged,
+            image_hash: picture.hash(),
+            primary_rays: counts.primary_rays,
+            hits: counts.hits,
+            shadow_rays: counts.shadow_rays,
+            lit: counts.lit,
+            damaged_pixels: counts.damaged,
+            gather_ms: traffic.busy_ns as f64 / 1e6,
+            gather_bytes: traffic.bytes,
+            changed_tiles: traffic.changed_tiles,
             moved_tiles: self.moved_tiles,
         }
     }

@@ -1,4 +1,4 @@
-//! Starts the processes of a run, watches them, gathers their tiles, and ends them, however the run ends.
+//! Starts the processes of a run, watches them, and ends them, however the run ends.
 
 use core::time::Duration;
 use std::io::ErrorKind;
@@ -11,18 +11,19 @@ use anyhow::{Context, Error, Result, anyhow, bail};
 use dsm_core::id::NodeId;
 use dsm_core::placement::Stripes;
 use rt_core::Frame;
-use rt_core::schedule::ledger::Output;
+use rt_core::schedule::ledger::{Arrival, Output};
 use rt_core::schedule::message::MESSAGE_BYTES_MAX;
-use rt_core::schedule::{Ledger, Message};
+use rt_core::schedule::{Balancer, Ledger, Message};
 use transport_shm::now;
 
-use crate::canvas::Canvas;
-use crate::control::{Drawn, Files, News, Order, SetUp};
+use crate::control::{Files, News, Order, SetUp};
+use crate::diagnostic::FrameFacts;
+use crate::gather::{Arrived, Displays, Gathered};
 use crate::link::{Link, wait_for_any};
-use crate::loss::{Kill, Loss, is_all_there};
+use crate::loss::{Kill, Loss, Moment, is_all_there};
 use crate::node::NODE_COMMAND;
-use crate::picture::Picture;
 use crate::report::ProcessReport;
+use crate::size::PictureSize;
 
 /// The processes of a run. Dropping it ends them all.
 #[derive(Debug)]
@@ -30,9 +31,11 @@ pub(crate) struct Supervisor {
     /// The nodes, which render, then the stores.
     processes: Vec<Process>,
     nodes: usize,
+    /// Where the tiles go.
+    displays: Displays,
+    /// Whether somebody wants to know more of tiles than their pixels.
+    wants_facts: bool,
     placement: Stripes,
-    /// From now on a process may die, if no page and not the last node goes with it.
-    is_running: bool,
     losses: Vec<Loss>,
     /// Processes to be killed on purpose.
     kills: Vec<Kill>,
@@ -65,11 +68,12 @@ enum Event {
 /// A frame that is whole.
 #[derive(Debug)]
 pub(crate) struct Drawing {
-    pub(crate) picture: Picture,
-    pub(crate) counts: Drawn,
+    pub(crate) gathered: Gathered,
     pub(crate) ms: f64,
     /// Tiles that came from another node than they were dealt to.
     pub(crate) moved_tiles: u32,
+    /// What is known of its tiles, if somebody wants to know.
+    pub(crate) facts: Option<FrameFacts>,
 }
 
 /// How long one look at the links takes at most, so that a silent process is noticed soon.
@@ -89,35 +93,43 @@ impl Supervisor {
         let placement = first.placement.placement()?;
         let doing = "the cluster was started".to_owned();
         let (processes, losses) = (Vec::new(), Vec::new());
-        let is_running = false;
-        let mut supervisor = Self { processes, nodes, placement, is_running, losses, kills, deadline, doing };
+        // Where the next tile is dealt when one has come, each is waited for; else only what makes a part whole.
+        let balancer: Balancer = first.balance.parse().map_err(|error| anyhow!("{error}"))?;
+        let rings_always = !kills.is_empty() || matches!(balancer, Balancer::Demand { .. });
+        let (displays, ends) = Displays::start(first.displays, nodes, rings_always)?;
+        let wants_facts = first.wants.facts;
+        let mut supervisor =
+            Self { processes, nodes, displays, wants_facts, placement, losses, kills, deadline, doing };
         for plan in plans {
             let process = Process::start(plan).with_context(|| format!("cannot start {}", name_of(plan)))?;
             supervisor.processes.push(process);
         }
-        let list: Vec<BorrowedFd<'_>> = files.iter().map(AsFd::as_fd).collect();
+        // A node's ends are its own: nobody else holds them, so that its death closes them.
+        let mut ends = ends.into_iter();
         for (index, plan) in plans.iter().enumerate() {
             let packet = Order::SetUp(Box::new(plan.clone())).to_packet()?;
-            let own = letters.get(index).map(AsFd::as_fd);
-            let list: Vec<BorrowedFd<'_>> = list.iter().copied().chain(own).collect();
+            let ends = ends.next().unwrap_or_default();
+            let list = files.iter().chain(&ends).chain(letters.get(index));
+            let list: Vec<BorrowedFd<'_>> = list.map(AsFd::as_fd).collect();
             supervisor.processes[index].send(&packet, &list)?;
         }
         Ok(supervisor)
     }
 
-    /// Waits until every process has filled its home pages, then lets them fetch from each other.
+    /// Waits until every process has filled its home pages or is dead, then lets the living fetch from each other. They
+    /// know of the dead by then, so nobody reads a page file that is not filled.
     pub(crate) fn wait_until_ready(&mut self) -> Result<()> {
         "the home pages were filled".clone_into(&mut self.doing);
+        self.kill_if(|kill| kill.when == Moment::Start);
         let mut ready = vec![false; self.processes.len()];
         while ready.contains(&false) {
             for (index, event) in self.listen()? {
                 match event {
-                    Event::News(News::Ready) => ready[index] = true,
-                    other => self.reject(index, &other)?,
+                    Event::News(News::Ready) | Event::Death => ready[index] = true,
+                    other @ Event::News(_) => self.reject(index, &other)?,
                 }
             }
         }
-        self.is_running = true;
         self.tell_all(&Order::Go)
     }
 
@@ -125,34 +137,46 @@ impl Supervisor {
     pub(crate) fn draw(&mut self, frame: Frame, ledger: &mut Ledger<'_>) -> Result<Drawing> {
         self.doing = format!("frame {} was drawn", frame.number);
         let start = Instant::now();
-        let mut canvas = Canvas::new(frame);
+        self.displays.begin(&frame);
+        let mut facts = self.wants_facts.then(|| FrameFacts::new(&frame));
+        // Whoever died before the first frame is dealt nothing.
+        for index in (0..self.nodes).filter(|index| self.processes[*index].is_dead) {
+            ledger.handle_down(u16::try_from(index)?);
+        }
         ledger.begin(frame.number);
         self.tell_all(&Order::Draw(frame))?;
         self.deal(ledger)?;
-        self.kill_as_asked(&canvas, ledger);
-        while ledger.missing() > 0 {
+        self.kill_as_asked(&frame);
+        while ledger.missing() > 0 || !self.is_told(facts.as_ref()) {
             for (index, event) in self.listen()? {
                 let context = || format!("{} sent", self.processes[index].name);
                 let node = u16::try_from(index)?;
                 match event {
-                    Event::News(News::Tiles(batch)) => {
-                        canvas.put(node, &batch, ledger).with_context(context)?
+                    Event::News(News::Facts(batch)) => {
+                        let facts =
+                            facts.as_mut().context("facts that nobody asked for").with_context(context)?;
+                        facts.take(&batch, node).with_context(context)?;
                     }
                     Event::News(News::Balance(message)) => {
                         let (message, _) = Message::parse(&message).with_context(context)?;
                         // What is refused has been said before, or is of a view that is over.
                         let _ = ledger.handle_message(&message);
                     }
-                    Event::Death => self.go_on_without(node, ledger),
+                    Event::Death => {
+                        // All that it had sent is in place: the rest is dealt anew.
+                        self.take_arrivals(ledger, facts.as_mut());
+                        self.go_on_without(node, ledger);
+                    }
                     other @ Event::News(_) => self.reject(index, &other)?,
                 }
-                self.deal(ledger)?;
-                self.kill_as_asked(&canvas, ledger);
             }
+            self.take_arrivals(ledger, facts.as_mut());
+            self.deal(ledger)?;
+            self.kill_as_asked(&frame);
         }
+        let gathered = self.displays.gather(PictureSize { width: frame.width, height: frame.height });
         let ms = start.elapsed().as_secs_f64() * 1000.0;
-        let (picture, counts) = canvas.into_parts();
-        Ok(Drawing { picture, counts, ms, moved_tiles: ledger.moved() })
+        Ok(Drawing { gathered, ms, moved_tiles: ledger.moved(), facts })
     }
 
     /// Has every process report, and sees each one end. Tells of those that did not live to do so.
@@ -169,7 +193,7 @@ impl Supervisor {
                         self.processes[index].is_done = true;
                     }
                     // Of frames that are whole without it.
-                    Event::Death | Event::News(News::Tiles(_) | News::Balance(_)) => {}
+                    Event::Death | Event::News(News::Facts(_) | News::Balance(_)) => {}
                     other @ Event::News(_) => self.reject(index, &other)?,
                 }
             }
@@ -189,12 +213,28 @@ impl Supervisor {
                 match event {
                     Event::News(News::Halted) => is_halted[index] = true,
                     // Of frames that are whole without it.
-                    Event::Death | Event::News(News::Tiles(_) | News::Balance(_)) => {}
+                    Event::Death | Event::News(News::Facts(_) | News::Balance(_)) => {}
                     other @ Event::News(_) => self.reject(index, &other)?,
                 }
             }
         }
         Ok(())
+    }
+
+    /// Tells the ledger which tiles have come since it last heard.
+    fn take_arrivals(&self, ledger: &mut Ledger<'_>, mut facts: Option<&mut FrameFacts>) {
+        for Arrived { node, frame, tile } in self.displays.arrivals() {
+            if ledger.handle_drawn(node, frame, tile) == Arrival::First
+                && let Some(facts) = &mut facts
+            {
+                facts.note_drawn(tile, node);
+            }
+        }
+    }
+
+    /// Whether all is known that somebody wants to know, and that can be.
+    fn is_told(&self, facts: Option<&FrameFacts>) -> bool {
+        facts.is_none_or(|facts| facts.is_whole(|node| self.processes[usize::from(node)].is_dead))
     }
 
     /// Has the living nodes draw what a node that has just died still owed.
@@ -216,9 +256,17 @@ impl Supervisor {
     }
 
     /// Kills the processes whose time has come.
-    fn kill_as_asked(&mut self, canvas: &Canvas, ledger: &Ledger<'_>) {
-        let present = (canvas.tile_count() - ledger.missing()) as usize;
-        let is_due = |kill: &Kill| kill.frame == canvas.frame().number && present >= kill.tiles;
+    fn kill_as_asked(&mut self, frame: &Frame) {
+        if self.kills.is_empty() {
+            return;
+        }
+        let (drawn, present) = (frame.number, self.displays.present());
+        let is_due =
+            |when| matches!(when, Moment::Drawn { frame, tiles } if frame == drawn && present >= tiles);
+        self.kill_if(|kill| is_due(kill.when));
+    }
+
+    fn kill_if(&mut self, is_due: impl Fn(&Kill) -> bool) {
         let processes = &mut self.processes;
         self.kills.retain(|kill| {
             if is_due(kill)
@@ -234,10 +282,13 @@ impl Supervisor {
     fn listen(&mut self) -> Result<Vec<(usize, Event)>> {
         let open: Vec<usize> =
             (0..self.processes.len()).filter(|index| !self.processes[*index].is_done).collect();
-        let links: Vec<&Link> = open.iter().map(|index| &self.processes[*index].link).collect();
-        let ready = wait_for_any(&links, LOOK_MS)?;
+        let links = open.iter().map(|index| self.processes[*index].link.as_fd());
+        let files: Vec<BorrowedFd<'_>> = links.chain([self.displays.bell()]).collect();
+        let ready = wait_for_any(&files, LOOK_MS)?;
+        self.displays.listen()?;
         let mut heard = Vec::new();
-        for index in ready.into_iter().map(|ready| open[ready]) {
+        // The last is the bell.
+        for index in ready.into_iter().filter_map(|ready| open.get(ready).copied()) {
             let process = &mut self.processes[index];
             let packet = process.link.receive().unwrap_or(None);
             let Some(packet) = packet else {
@@ -281,6 +332,9 @@ impl Supervisor {
         if !self.can_spare(index) {
             bail!("{process} {how} while {doing}");
         }
+        if index < self.nodes {
+            self.displays.see_gone(index, deadline)?;
+        }
         self.losses.push(Loss { process, how, doing, tiles_dealt_again: 0 });
         self.processes[index].is_done = true;
         self.processes[index].is_dead = true;
@@ -292,10 +346,7 @@ impl Supervisor {
         let is_dead = |other: usize| other == index || self.processes[other].is_dead;
         let renders = (0..self.nodes).any(|node| !is_dead(node));
         let is_copied = self.placement.replicas() > 1;
-        self.is_running
-            && is_copied
-            && renders
-            && is_all_there(&self.placement, |NodeId(node)| is_dead(node.into()))
+        is_copied && renders && is_all_there(&self.placement, |NodeId(node)| is_dead(node.into()))
     }
 
     /// A process says that it cannot go on. If that is because another one is gone, that one is named.

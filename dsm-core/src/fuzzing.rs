@@ -48,7 +48,7 @@ mod tests {
     proptest! {
         #[test]
         fn bytes_from_outside_impress_nobody(
-            mut bytes in prop::collection::vec(any::<u8>(), 0..48), looks_right in any::<bool>(), kind in 1u8..4,
+            mut bytes in prop::collection::vec(any::<u8>(), 0..52), looks_right in any::<bool>(), kind in 1u8..4,
         ) {
             if looks_right && bytes.len() >= crate::wire::HEADER_BYTES {
                 bytes[..4].copy_from_slice(&[b'M', b'S', crate::wire::VERSION, kind]);

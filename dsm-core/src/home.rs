@@ -187,6 +187,7 @@ mod tests {
             to_incarnation: Incarnation(0),
             page: PageId(page),
             request: 77,
+            stamp_us: 55,
             body: Body::REQUEST,
         }
     }
@@ -201,7 +202,8 @@ mod tests {
     fn own_pages_are_granted_under_the_request_s_number() {
         let message = request(6).grant(NodeId(1), 4096);
         assert_eq!(answer(&mut home(), request(6)), Ok(Answer::Grant { message, held_index: 2 }));
-        assert_eq!((message.to, message.to_incarnation, message.request), (NodeId(0), Incarnation(4), 77));
+        assert_eq!((message.to, message.to_incarnation), (NodeId(0), Incarnation(4)));
+        assert_eq!((message.request, message.stamp_us), (77, 55));
     }
 
     #[test]

@@ -15,6 +15,7 @@
 //! | [`page_table`], [`storage`] | where that state is kept, in memory lent by the caller |
 //! | [`replacement`] | which page has to leave: `random`, `fifo`, `clock`, `sieve`, `s3-fifo`, `recall` |
 //! | [`page_sets`] | what each tile touched in the last frame, which foretells the next |
+//! | [`prefetch`], `neighbours` | whether it pays to bring pages before anybody touches them, and how many |
 //! | `request`, `fragments` | what has been asked for and not yet answered, and which parts of it have come |
 //! | [`membership`], `round_trip` | which owners are alive, and how long to wait for an answer of each |
 //! | [`wire`] | the messages: parse and emit |
@@ -79,12 +80,13 @@ pub mod membership;
 pub mod mutants;
 #[cfg(not(mutants))]
 mod mutants;
+mod neighbours;
 pub mod node;
 pub mod page_sets;
 pub mod page_state;
 pub mod page_table;
 pub mod placement;
-mod prefetch;
+pub mod prefetch;
 pub mod replacement;
 mod request;
 mod round_trip;

@@ -158,7 +158,7 @@ impl<'s> Membership<'s> {
         is_new
     }
 
-    /// `node` answered a request that was sent once, so long ago: its timeouts are no longer doubled.
+    /// `node` answered a request that was sent so long ago: its timeouts are no longer doubled.
     pub(crate) fn measured(&mut self, node: NodeId, round_trip_us: u64) {
         if let Some(peer) = self.peer_mut(node) {
             peer.round_trip.measure(round_trip_us);
@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn timeouts_double_until_something_sent_once_is_answered() {
+    fn timeouts_double_until_a_round_trip_is_measured() {
         with_membership(|mut membership| {
             for backoff in 1..=3 {
                 membership.timed_out(at(0), PEER, backoff);

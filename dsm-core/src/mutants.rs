@@ -41,8 +41,8 @@ pub enum Mutant {
     NeverBackOff,
     /// Replicas are numbered from one too few.
     WrongReplicaIndex,
-    /// An answer that cannot be attributed to one sending is measured all the same.
-    MeasureResent,
+    /// A round trip is measured from the first sending, whichever was answered.
+    MeasureFromFirst,
 }
 
 #[cfg(mutants)]
@@ -72,7 +72,7 @@ mod switch {
             Self::NeverExpire,
             Self::NeverBackOff,
             Self::WrongReplicaIndex,
-            Self::MeasureResent,
+            Self::MeasureFromFirst,
         ];
     }
 

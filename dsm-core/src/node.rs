@@ -3,13 +3,14 @@
 //! `Node` never waits. Facts go in with the time through `handle_*`, work comes out of [`Node::poll`], the driver
 //! does it. One input, then poll until [`Output::Idle`]: this bounds the outbox, and is checked.
 
+mod ahead;
 mod answers;
 mod asking;
 mod config;
 mod snapshot;
 
 pub use answers::MessageError;
-pub use config::{Config, ConfigError, EVICT_BATCH_MAX};
+pub use config::{Config, ConfigError, EVICT_BATCH_MAX, NEIGHBOURS_MAX};
 pub use snapshot::Snapshot;
 
 use heapless::Deque;
@@ -20,7 +21,7 @@ use crate::membership::{Liveness, Membership};
 use crate::mutants::{self, Mutant};
 use crate::page_state::{Effect, PageEvent, PageState};
 use crate::page_table::{PageTable, StorageError};
-use crate::prefetch::Account;
+use crate::prefetch::Prefetch;
 use crate::replacement::{Policy, Replacement, Residents};
 use crate::request::Requests;
 use crate::stats::NodeStats;
@@ -36,6 +37,7 @@ use crate::wire::Message;
 ///   every request ends by its deadline.
 /// - `BOUNDED`: pages that hold a slot are never more than the slots lent.
 /// - `OUTBOX_BOUNDED`: one input causes at most [`OUTBOX`] outputs.
+/// - `PREFETCH_COUNTED`: every page asked for ahead is used, wasted, or in its slot and in doubt.
 #[derive(Debug)]
 pub struct Node<'s, R: Replacement = Policy> {
     config: Config,
@@ -48,7 +50,7 @@ pub struct Node<'s, R: Replacement = Policy> {
     /// A thread waits for a slot, any slot.
     slot_waited_for: bool,
     next_number: u32,
-    prefetch: Account,
+    prefetch: Prefetch,
     stats: NodeStats,
 }
 
@@ -181,12 +183,12 @@ impl<'s, R: Replacement> Node<'s, R> {
             requests: Requests::new(requests, 0),
             membership: Membership::new(peers, placement.first_owner(), config.patience(), config.limits()),
             residents: Residents::new(replacement, config.hidden_max),
+            prefetch: Prefetch::new(config.neighbours_max),
             config,
             clock: SteadyClock::default(),
             outbox: Deque::new(),
             slot_waited_for: false,
             next_number: 0,
-            prefetch: Account::new(),
             stats: NodeStats::default(),
         })
     }
@@ -280,49 +282,8 @@ impl<'s, R: Replacement> Node<'s, R> {
             && let Some(slot) = self.table.slot(page)
         {
             self.residents.policy_mut().handle_reference(self.table.slots_mut(), slot);
-            if core::mem::take(&mut self.table.slots_mut()[slot.index()].prefetched) {
-                self.stats.prefetch_used += 1;
-                self.prefetch.used();
-            }
+            self.judge(slot, true);
         }
-    }
-
-    /// Pages are about to be brought that nobody waits for: makes slots free for up to `count` of them, if they can be had
-    /// for pages that are needed later.
-    ///
-    /// Gives the number that can be asked for, after what [`poll`](Self::poll) says has been carried out. 0 where it
-    /// has shown that it does not pay.
-    pub fn handle_prefetch_wish(&mut self, now: Instant, count: u32) -> u32 {
-        self.expect_drained();
-        self.clock.advance(now);
-        if !self.prefetch.allows() {
-            return 0;
-        }
-        let count = count.min(EVICT_BATCH_MAX);
-        while self.table.free_count() + self.table.leaving_count() < count {
-            let Some(slot) = self.residents.choose_victim_for_prefetch(self.table.slots_mut()) else { break };
-            self.evict_from(slot);
-        }
-        count.min(self.table.free_count() + self.table.leaving_count())
-    }
-
-    /// Asks for a page that nobody has touched, if it is absent and a slot is free and half of the requests are. Tells
-    /// whether it did; the answer comes to `port`.
-    pub fn handle_prefetch(&mut self, now: Instant, page: PageId, port: PortId) -> bool {
-        self.expect_drained();
-        let now = self.clock.advance(now);
-        let has_room = self.table.free_count() > 0 && 2 * self.requests.len() < self.requests.capacity();
-        if !has_room || self.table.state(page) != Some(PageState::Absent) {
-            return false;
-        }
-        if let Effect::SendRequest = self.apply(page, PageEvent::Fault) {
-            self.stats.prefetched_pages += 1;
-            if let Some(slot) = self.table.slot(page) {
-                self.table.slots_mut()[slot.index()].prefetched = true;
-            }
-            self.begin_request(now, page, port, 0);
-        }
-        true
     }
 
     /// The driver expects `page` to be used next at tile `next_use`. Without effect unless it is resident.
@@ -457,6 +418,8 @@ impl<'s, R: Replacement> Node<'s, R> {
             let asks_holder = self.config.placement.holds(request.holder, request.page);
             assert!(asks_holder, "ASKS_HOLDER: {} asked for {}", request.holder, request.page);
         }
+        let (prefetch, in_doubt) = (self.stats.prefetch(), self.table.prefetched_count());
+        assert_eq!(prefetch.asked, prefetch.used + prefetch.wasted + in_doubt, "PREFETCH_COUNTED");
         if self.slot_waited_for {
             let idle = self.table.free_count() + self.table.resident_count() + self.table.hidden_count();
             let busy = self.table.slot_count() - idle;
@@ -480,7 +443,10 @@ impl<'s, R: Replacement> Node<'s, R> {
                 }
                 Fault::Fetch
             }
-            Effect::Wait => Fault::Wait,
+            Effect::Wait => {
+                self.wait_for(now, page, elapsed_us);
+                Fault::Wait
+            }
             Effect::Show => {
                 self.show(page);
                 Fault::Show
@@ -509,6 +475,7 @@ impl<'s, R: Replacement> Node<'s, R> {
     fn show(&mut self, page: PageId) {
         self.stats.soft_faults += 1;
         if let Some(slot) = self.table.slot(page) {
+            self.judge(slot, true);
             self.residents.handle_shown(self.table.slots_mut(), slot);
             self.push(Pending::Done(Output::Map { page, slot, bytes: PageBytes::Kept }));
         }
@@ -540,10 +507,7 @@ impl<'s, R: Replacement> Node<'s, R> {
         let Some(page) = self.table.page_in(slot) else { return };
         if let Effect::Unmap = self.apply(page, PageEvent::Evict) {
             self.stats.evicted_pages += 1;
-            if core::mem::take(&mut self.table.slots_mut()[slot.index()].prefetched) {
-                self.stats.prefetch_wasted += 1;
-                self.prefetch.wasted();
-            }
+            self.judge(slot, false);
             self.push(Pending::Done(Output::Unmap { page, slot }));
             if mutants::is_on(Mutant::ReuseSlotEarly) {
                 self.apply(page, PageEvent::Unmapped);
@@ -551,8 +515,11 @@ impl<'s, R: Replacement> Node<'s, R> {
         }
     }
 
-    /// Gives `page` up. Its request has been taken out.
+    /// Gives `page` up. Its request has been taken out. Where nobody has waited for it yet, that is no failure.
     fn fail(&mut self, page: PageId, failure: Failure) {
+        if self.is_in_doubt(page) {
+            return self.abandon(page);
+        }
         if let Effect::Fail = self.apply(page, PageEvent::Expire) {
             self.table.set_failure(page, failure);
             self.stats.failed_pages += 1;

@@ -35,6 +35,8 @@ pub enum PageEvent {
     Filled,
     /// The deadline passed, or the owner refused.
     Expire,
+    /// The same, while nobody waited for it: it was asked for ahead.
+    Abandon,
     /// Replacement chose it as a victim.
     Evict,
     /// The driver has taken it away from its readers; its slot is free.
@@ -74,6 +76,8 @@ pub enum Effect {
     Release,
     /// Free its slot, remember why, and wake who waits.
     Fail,
+    /// Free its slot and wake who waits for one.
+    Forget,
 }
 
 impl PageState {
@@ -96,44 +100,51 @@ impl PageState {
     /// The drawing of it is in ARCHITECTURE.md; `tests/page_state.rs` prints every cell.
     #[must_use]
     pub const fn on(self, event: PageEvent) -> (Self, Effect) {
-        use PageEvent::{Covered, Evict, Expire, Fault, Filled, Grant, Hide, Unmapped};
+        use PageEvent::{Abandon, Covered, Evict, Expire, Fault, Filled, Grant, Hide, Unmapped};
         use PageState::{Absent, Failed, Filling, Hidden, Hiding, Home, Leaving, Requested, Resident};
         match (self, event) {
             (Absent, Fault) => (Requested, Effect::SendRequest),
-            (Absent, Grant | Filled | Expire | Evict | Unmapped | Hide | Covered) => (Absent, Effect::None), // late or twice
+            (Absent, Grant | Filled | Expire | Abandon | Evict | Unmapped | Hide | Covered) => {
+                (Absent, Effect::None)
+            } // late or twice
 
             (Requested, Fault) => (Requested, Effect::Wait), // one request is enough
             (Requested, Grant) => (Filling, Effect::Map),
             (Requested, Expire) => (Failed, Effect::Fail),
+            (Requested, Abandon) => (Absent, Effect::Forget), // whoever touches it later asks anew
             (Requested, Filled | Evict | Unmapped | Hide | Covered) => (Requested, Effect::None), // holds a slot, but no page
 
             (Filling, Fault) => (Filling, Effect::Wait),
             (Filling, Filled) => (Resident, Effect::Wake),
-            (Filling, Grant | Expire) => (Filling, Effect::None), // the bytes are here already
+            (Filling, Grant | Expire | Abandon) => (Filling, Effect::None), // the bytes are here already
             (Filling, Evict | Unmapped | Hide | Covered) => (Filling, Effect::None), // its slot is being written
 
             (Resident, Fault) => (Resident, Effect::Ready), // two threads raced to it
             (Resident, Evict) => (Leaving, Effect::Unmap),
             (Resident, Hide) => (Hiding, Effect::Hide),
-            (Resident, Grant | Filled | Expire | Unmapped | Covered) => (Resident, Effect::None),
+            (Resident, Grant | Filled | Expire | Abandon | Unmapped | Covered) => (Resident, Effect::None),
 
             (Leaving, Fault) => (Leaving, Effect::Wait), // it must be gone before it can come again
             (Leaving, Unmapped) => (Absent, Effect::Release),
-            (Leaving, Grant | Filled | Expire | Evict | Hide | Covered) => (Leaving, Effect::None),
+            (Leaving, Grant | Filled | Expire | Abandon | Evict | Hide | Covered) => (Leaving, Effect::None),
 
             (Failed, Fault) => (Failed, Effect::Refuse),
-            (Failed, Grant | Filled | Expire | Evict | Unmapped | Hide | Covered) => (Failed, Effect::None), // too late
+            (Failed, Grant | Filled | Expire | Abandon | Evict | Unmapped | Hide | Covered) => {
+                (Failed, Effect::None)
+            } // too late
 
             (Home, Fault) => (Home, Effect::Ready), // mapped since before the first thread started
-            (Home, Grant | Filled | Expire | Evict | Unmapped | Hide | Covered) => (Home, Effect::None),
+            (Home, Grant | Filled | Expire | Abandon | Evict | Unmapped | Hide | Covered) => {
+                (Home, Effect::None)
+            }
 
             (Hiding, Fault) => (Hiding, Effect::Wait), // it must be out of sight before it can be shown
             (Hiding, Covered) => (Hidden, Effect::Keep),
-            (Hiding, Grant | Filled | Expire | Evict | Unmapped | Hide) => (Hiding, Effect::None),
+            (Hiding, Grant | Filled | Expire | Abandon | Evict | Unmapped | Hide) => (Hiding, Effect::None),
 
             (Hidden, Fault) => (Filling, Effect::Show), // a soft fault
             (Hidden, Evict) => (Leaving, Effect::Unmap),
-            (Hidden, Grant | Filled | Expire | Unmapped | Hide | Covered) => (Hidden, Effect::None),
+            (Hidden, Grant | Filled | Expire | Abandon | Unmapped | Hide | Covered) => (Hidden, Effect::None),
         }
     }
 
@@ -169,11 +180,12 @@ impl PageState {
 
 impl PageEvent {
     /// All events, in the order of the table's columns.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Fault,
         Self::Grant,
         Self::Filled,
         Self::Expire,
+        Self::Abandon,
         Self::Evict,
         Self::Unmapped,
         Self::Hide,

@@ -141,7 +141,7 @@ impl<'s> PageTable<'s> {
                 self.lists.leaving_count -= 1;
                 self.free_slot(page);
             }
-            Effect::Fail => self.free_slot(page),
+            Effect::Fail | Effect::Forget => self.free_slot(page),
             Effect::None | Effect::Ready | Effect::Refuse | Effect::Map => {}
         }
         effect
@@ -225,6 +225,11 @@ impl<'s> PageTable<'s> {
     pub fn page_in(&self, slot: SlotId) -> Option<PageId> {
         let entry = self.slots.get(slot.index())?;
         (entry.page != NONE).then_some(PageId(entry.page))
+    }
+
+    /// Pages in slots that were brought ahead and are not known to have been used. For tests: looks at every slot.
+    pub(crate) fn prefetched_count(&self) -> u64 {
+        self.slots.iter().map(|slot| u64::from(slot.prefetched.is_some())).sum()
     }
 
     /// Checks every invariant named at the type. For tests: its cost grows with the number of pages.

@@ -65,7 +65,7 @@ pub enum PlacementError {
         /// Number of the last owner asked for.
         last: u32,
     },
-    /// `2^32 - 1` names no page: it stands for "none".
+    /// More than `2^32 - 1` pages. That number itself names none: it stands for "none".
     TooManyPages,
     /// No copy at all, more than [`REPLICAS_MAX`], or more than there are owners to hold them.
     Replicas {
@@ -80,7 +80,7 @@ impl Stripes {
     /// Places `page_count` pages in stripes of `stripe_pages` on the nodes `first_owner ..` (`owner_count` of them).
     ///
     /// # Errors
-    /// A count of zero, or more nodes or pages than there are numbers for.
+    /// A count of zero, or more nodes than there are numbers for.
     pub fn new(
         page_count: u32,
         stripe_pages: u32,
@@ -90,7 +90,6 @@ impl Stripes {
         let last = u32::from(first_owner.0) + u32::from(owner_count.max(1)) - 1;
         match (page_count, stripe_pages, owner_count) {
             (0, _, _) => Err(PlacementError::NoPages),
-            (u32::MAX, _, _) => Err(PlacementError::TooManyPages),
             (_, 0, _) => Err(PlacementError::EmptyStripe),
             (_, _, 0) => Err(PlacementError::NoOwners),
             _ if last >= u32::from(MAX_NODES) => Err(PlacementError::TooManyNodes { last }),
@@ -363,7 +362,7 @@ impl fmt::Display for PlacementError {
             Self::TooManyNodes { last } => {
                 write!(f, "node {last} is beyond the {MAX_NODES} nodes that a cluster can have")
             }
-            Self::TooManyPages => write!(f, "more than 2^32 - 2 pages; choose a larger page"),
+            Self::TooManyPages => write!(f, "more than 2^32 - 1 pages; choose a larger page"),
             Self::Replicas { got: 0, .. } => write!(f, "no copy of a page is too few; 1 is the home's own"),
             Self::Replicas { got, owners } => write!(
                 f,

@@ -30,8 +30,9 @@ pub struct RequestEntry {
     pub(crate) is_orphan: bool,
     /// Since the last sending, a part of the page has come that was missing.
     pub(crate) has_advanced: bool,
-    /// An answer has come, so the round trip is known.
+    /// A round trip of this request has been measured, that of the sending with `measured_stamp`.
     pub(crate) is_measured: bool,
+    pub(crate) measured_stamp: u32,
     /// When it was sent first.
     pub(crate) sent_at: Instant,
     /// When it is sent again unless an answer came.
@@ -68,6 +69,7 @@ impl RequestEntry {
         is_orphan: false,
         has_advanced: false,
         is_measured: false,
+        measured_stamp: 0,
         sent_at: Instant::ZERO,
         resend_at: Instant::ZERO,
         deadline: Instant::ZERO,

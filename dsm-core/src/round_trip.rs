@@ -40,7 +40,7 @@ impl RoundTrip {
     /// Nothing has been measured.
     pub(crate) const NOTHING: Self = Self { smoothed_x8: 0, variation_x4: 0 };
 
-    /// Takes a measurement into account. By Karn's rule the caller measures only what was sent once.
+    /// Takes a measurement into account. The caller knows which sending was answered.
     pub(crate) fn measure(&mut self, round_trip_us: u64) {
         let measured = u32::try_from(round_trip_us).unwrap_or(u32::MAX).clamp(1, ROUND_TRIP_MAX_US);
         if self.smoothed_x8 == 0 {

@@ -1,5 +1,7 @@
 //! Counters, and a histogram of times that needs no floating point.
 
+use crate::prefetch::Foretold;
+
 /// What a node has counted since it was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct NodeStats {
@@ -27,12 +29,10 @@ pub struct NodeStats {
     pub dead_peers: u64,
     /// Fragments of pages that came and were stored.
     pub fragments: u64,
-    /// Pages asked for before anybody touched them.
-    pub prefetched_pages: u64,
-    /// Of those, pages that are known to have been used.
-    pub prefetch_used: u64,
-    /// Of those, pages that left and are not known to have been used.
-    pub prefetch_wasted: u64,
+    /// Pages asked for before the tile that touched them in the last frame.
+    pub tile_prefetch: PrefetchStats,
+    /// Pages asked for together with one that they follow.
+    pub neighbour_prefetch: PrefetchStats,
     /// Pages granted and put into a slot.
     pub fetched_pages: u64,
     /// Bytes of those pages.
@@ -47,6 +47,17 @@ pub struct NodeStats {
     pub late_answers: u64,
 }
 
+/// Pages asked for before anybody touched them, and what became of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PrefetchStats {
+    /// Pages asked for.
+    pub asked: u64,
+    /// Of those, pages that are known to have been used.
+    pub used: u64,
+    /// Of those, pages that left and are not known to have been used, and pages that could not be had.
+    pub wasted: u64,
+}
+
 /// What a home has counted since it was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HomeStats {
@@ -56,6 +67,27 @@ pub struct HomeStats {
     pub refused_requests: u64,
     /// Messages refused: malformed, of another cluster or epoch.
     pub refused_messages: u64,
+}
+
+impl NodeStats {
+    /// What is counted of pages that were foretold in this way.
+    pub fn prefetch_mut(&mut self, foretold: Foretold) -> &mut PrefetchStats {
+        match foretold {
+            Foretold::ByTile => &mut self.tile_prefetch,
+            Foretold::ByNeighbour => &mut self.neighbour_prefetch,
+        }
+    }
+
+    /// Pages that were foretold in whatever way.
+    #[must_use]
+    pub const fn prefetch(&self) -> PrefetchStats {
+        let (tiles, neighbours) = (self.tile_prefetch, self.neighbour_prefetch);
+        PrefetchStats {
+            asked: tiles.asked + neighbours.asked,
+            used: tiles.used + neighbours.used,
+            wasted: tiles.wasted + neighbours.wasted,
+        }
+    }
 }
 
 /// Counts times in buckets that widen with the time: 8 to each doubling, so a quantile is off by 12 % at most.

@@ -2,6 +2,7 @@
 
 pub use crate::membership::PeerEntry;
 use crate::page_state::PageState;
+use crate::prefetch::Foretold;
 pub use crate::request::RequestEntry;
 
 /// Memory lent to a [`Node`](crate::node::Node) for as long as it lives.
@@ -39,7 +40,7 @@ pub struct SlotEntry {
     /// How often the page was used since the policy last looked, as far as the policy counts.
     pub(crate) uses: u8,
     /// The page was brought before anybody touched it, and nobody is known to have used it yet.
-    pub(crate) prefetched: bool,
+    pub(crate) prefetched: Option<Foretold>,
     /// A page that left not long ago, or [`NONE`]. Has nothing to do with the page that is in the slot.
     pub(crate) ghost: u32,
     /// Tells how long ago `ghost` left.
@@ -96,7 +97,7 @@ impl SlotEntry {
         previous: NONE,
         evictable: false,
         uses: 0,
-        prefetched: false,
+        prefetched: None,
         ghost: NONE,
         ghost_number: 0,
         next_use: 0,

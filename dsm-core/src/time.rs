@@ -32,6 +32,21 @@ impl Instant {
         Self(self.0.saturating_add(micros))
     }
 
+    /// What of this moment fits a message: its microseconds, without those above 32 bits.
+    #[inline]
+    #[must_use]
+    #[expect(clippy::cast_possible_truncation, reason = "it wraps")]
+    pub(crate) const fn stamp(self) -> u32 {
+        self.0 as u32
+    }
+
+    /// Microseconds since the last moment that has this stamp: 71 minutes at most.
+    #[inline]
+    #[must_use]
+    pub(crate) const fn since_stamp(self, stamp: u32) -> u64 {
+        self.stamp().wrapping_sub(stamp) as u64
+    }
+
     /// Microseconds from `earlier` to this moment, 0 when `earlier` is later.
     #[inline]
     #[must_use]
@@ -82,6 +97,13 @@ mod tests {
         assert_eq!(clock.advance(at(15)), at(1_000_005));
         assert_eq!([1_000_001, 3].map(|moment| clock.outside(at(moment))), [at(11), at(0)]);
         assert_eq!(clock.advance(at(u64::MAX)), at(u64::MAX));
+    }
+
+    #[test]
+    fn a_stamp_tells_how_long_ago_it_was_made_across_the_wrap() {
+        let made = Instant::from_micros((7 << 32) - 5);
+        assert_eq!(made.after(12).since_stamp(made.stamp()), 12);
+        assert_eq!(made.since_stamp(made.stamp()), 0);
     }
 
     #[test]

@@ -3,8 +3,8 @@
 //! ```text
 //!  0        2     3     4                    12         16        18        20         24         28        32
 //!  | magic  | ver | kind| cluster            | epoch    | from    | to      | page     | request  | detail  |
-//!  32         36        38        40
-//!  | offset   | from's  | to's    |   the incarnations of sender and receiver
+//!  32         36        38        40          44
+//!  | offset   | from's  | to's    | stamp     |   the incarnations of sender and receiver; when it was asked for
 //! ```
 //!
 //! A request asks for `detail` bytes of the page from `offset` on, or with 0 for all there are. A grant says that
@@ -16,10 +16,10 @@ use core::fmt;
 use crate::id::{ClusterId, Epoch, Incarnation, NodeId, PageId};
 
 /// Bytes of every message's header. A grant's page bytes travel behind it, in whatever way a transport has.
-pub const HEADER_BYTES: usize = 40;
+pub const HEADER_BYTES: usize = 44;
 
 /// The protocol's version. Another version is another language.
-pub const VERSION: u8 = 2;
+pub const VERSION: u8 = 3;
 
 /// A message: who to whom, in which cluster and epoch, and what.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,6 +41,9 @@ pub struct Message {
     pub page: PageId,
     /// The sender's number for the request, returned with the answer. A late answer is known by it.
     pub request: u32,
+    /// When this request was sent, by its sender's clock, in microseconds that wrap; returned with the answer. So the round
+    /// trip is known whichever of several sendings was answered.
+    pub stamp_us: u32,
     /// What it says.
     pub body: Body,
 }
@@ -129,6 +132,7 @@ impl Message {
             to_incarnation: Incarnation(u16::from_le_bytes(at(header, field::TO_INCARNATION))),
             page: PageId(u32::from_le_bytes(at(header, field::PAGE))),
             request: u32::from_le_bytes(at(header, field::REQUEST)),
+            stamp_us: u32::from_le_bytes(at(header, field::STAMP)),
             body: Body::parse(
                 header[field::KIND],
                 u32::from_le_bytes(at(header, field::DETAIL)),
@@ -156,6 +160,7 @@ impl Message {
         put(field::OFFSET, &offset.to_le_bytes());
         put(field::FROM_INCARNATION, &self.from_incarnation.0.to_le_bytes());
         put(field::TO_INCARNATION, &self.to_incarnation.0.to_le_bytes());
+        put(field::STAMP, &self.stamp_us.to_le_bytes());
         HEADER_BYTES
     }
 
@@ -296,6 +301,7 @@ mod field {
     pub(super) const OFFSET: usize = 32;
     pub(super) const FROM_INCARNATION: usize = 36;
     pub(super) const TO_INCARNATION: usize = 38;
+    pub(super) const STAMP: usize = 40;
 }
 
 #[cfg(test)]
@@ -310,8 +316,13 @@ mod tests {
             Just(Body::Refusal(Refusal::NotOwner)),
             Just(Body::Refusal(Refusal::Unreadable)),
         ];
-        (any::<u64>(), any::<u32>(), any::<[u16; 4]>(), any::<u32>(), any::<u32>(), body).prop_map(
-            |(cluster, epoch, [from, to, from_incarnation, to_incarnation], page, request, body)| Message {
+        (any::<u64>(), any::<[u16; 4]>(), any::<[u32; 4]>(), body).prop_map(
+            |(
+                cluster,
+                [from, to, from_incarnation, to_incarnation],
+                [epoch, page, request, stamp_us],
+                body,
+            )| Message {
                 cluster: ClusterId(cluster),
                 epoch: Epoch(epoch),
                 from: NodeId(from),
@@ -320,6 +331,7 @@ mod tests {
                 to_incarnation: Incarnation(to_incarnation),
                 page: PageId(page),
                 request,
+                stamp_us,
                 body,
             },
         )
@@ -358,7 +370,7 @@ mod tests {
             Message::parse(&bytes)
         };
         assert!(Message::parse(&good).is_ok());
-        assert_eq!(Message::parse(&good[..39]), Err(ParseError::Truncated { got: 39 }));
+        assert_eq!(Message::parse(&good[..43]), Err(ParseError::Truncated { got: 43 }));
         assert_eq!(with(0, b'X'), Err(ParseError::Magic));
         assert_eq!(with(2, 9), Err(ParseError::Version { got: 9 }));
         assert_eq!(with(3, 0), Err(ParseError::Kind { got: 0 }));
@@ -408,6 +420,7 @@ mod tests {
         to_incarnation: Incarnation(0),
         page: PageId(0),
         request: 0,
+        stamp_us: 0,
         body: Body::REQUEST,
     };
 }

@@ -48,7 +48,9 @@ fn the_operations_reach_everything_that_can_go_wrong() {
     let mut total = dsm_ops::Tally::default();
     for (number, ops) in ops.chunks(200).enumerate() {
         let fragments = if number % 2 == 0 { 1 } else { 4 };
-        total = total.plus(run(Setup { fragments, ..Setup::SMALL }, ops.iter().copied()).tally());
+        let neighbours = if number % 3 == 0 { 0 } else { 4 };
+        let setup = Setup { fragments, neighbours, slots: 3, ..Setup::SMALL };
+        total = total.plus(run(setup, ops.iter().copied()).tally());
     }
     println!("{total:?}");
     for (name, count) in total.named() {

@@ -25,6 +25,15 @@ fn two_threads_lose_no_page_to_a_lost_message_and_a_death() {
 }
 
 #[test]
+fn pages_that_are_asked_for_ahead_keep_nobody_waiting() {
+    let explored = explore(Cluster::AHEAD, false);
+    println!("{:?}: {} states, {} transitions", Cluster::AHEAD, explored.states, explored.transitions);
+    assert_eq!(explored.broken, None);
+    assert_eq!(explored.unreached, [model::RETURN, model::LATE]);
+    assert!(explored.states > 46_069, "asking ahead leads to no other states: {}", explored.states);
+}
+
+#[test]
 fn a_node_that_comes_back_is_a_new_node() {
     assert_holds(Cluster::RETURN, 17_219, &[]);
 }

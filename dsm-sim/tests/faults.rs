@@ -198,3 +198,20 @@ fn configurations_that_contradict_themselves_are_refused_in_one_line() {
     assert_eq!(Config::new(0, PAGES).map(|_| ()), Err(ConfigError::Nodes(0)));
     assert_eq!(Config::with_stores(u16::MAX, 1, PAGES).map(|_| ()), Err(ConfigError::Nodes(u16::MAX)));
 }
+
+#[test]
+fn no_fragmented_page_misses_its_deadline_where_a_tenth_of_all_messages_is_lost() {
+    let mut config = Config::new(NODES, PAGES).unwrap();
+    (config.node.fragments, config.message_room) = (true, 1_400);
+    config.network = config.network.with_links(|link| link.loss_ppm = 100_000);
+    let mut memory = Memory::new(config).unwrap();
+    let (mut resends, mut requests) = (0, 0);
+    for seed in 0..60 {
+        let report = World::new(&mut memory, PolicyKind::Random, seed).run();
+        let total = report.total();
+        assert_eq!((report.ended, total.touches, total.failed_touches), (Ended::Done, TOUCHES, 0), "{seed}");
+        assert!(report.latencies.max() < ms(500), "seed {seed}: {} us", report.latencies.max() / 1000);
+        (resends, requests) = (resends + total.resends, requests + total.requests);
+    }
+    assert!(resends > requests, "of twelve fragments one is lost nearly each time: {resends} {requests}");
+}

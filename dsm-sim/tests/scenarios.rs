@@ -16,10 +16,11 @@ struct Scenario {
     holds: fn(&Report) -> Result<(), String>,
 }
 
-const SCENARIOS: [Scenario; 7] = [
+const SCENARIOS: [Scenario; 8] = [
     Scenario { name: "nothing goes wrong", config: small, holds: nothing_is_lost },
     Scenario { name: "lossy links", config: lossy, holds: nothing_is_lost },
     Scenario { name: "pages in fragments", config: fragmented, holds: nothing_is_lost },
+    Scenario { name: "neighbours", config: neighbours, holds: nothing_is_lost },
     Scenario { name: "strays", config: strays, holds: nothing_is_lost },
     Scenario { name: "a copy dies", config: a_copy_dies, holds: nothing_is_lost },
     Scenario { name: "deaths are told", config: deaths_are_told, holds: goes_on_at_once },
@@ -67,6 +68,13 @@ fn lossy() -> Config {
 fn fragmented() -> Config {
     let mut config = lossy();
     (config.node.fragments, config.message_room) = (true, 1_400);
+    config
+}
+
+/// Pages bring others along, which nobody waits for.
+fn neighbours() -> Config {
+    let mut config = lossy();
+    (config.node.neighbours_max, config.slots) = (4, 8);
     config
 }
 

@@ -9,6 +9,7 @@ use dsm_core::id::{NodeId, PageId, PortId, SlotId};
 use dsm_core::node::{Config, ConfigError, EVICT_BATCH_MAX, Fault, Node, OUTBOX, Output};
 use dsm_core::page_state::PageState;
 use dsm_core::placement::Stripes;
+use dsm_core::prefetch::Foretold;
 use dsm_core::replacement::{Policy, PolicyKind, ReferenceSource};
 use dsm_core::stats::NodeStats;
 use dsm_core::storage::{PageEntry, PeerEntry, RequestEntry, SlotEntry, Storage};
@@ -167,10 +168,21 @@ impl Paging {
         (ahead, self.finish(node))
     }
 
-    /// Asks for a page that nobody waits for, if there is room for it; the answer comes to `port`.
-    pub(crate) fn prefetch(&self, page: PageId, port: PortId) -> Option<Work<'_>> {
+    /// `page` was missed and has been asked for. Gives pages to bring along with it, and has slots made free for them.
+    pub(crate) fn neighbours(&self, page: PageId) -> (Ahead, Work<'_>) {
+        if self.config.neighbours_max == 0 {
+            return (Ahead::new(), Work::default());
+        }
         let mut node = self.node.lock();
-        let is_asked = node.handle_prefetch(sys::now(), page, port);
+        let count = node.handle_neighbour_wish(sys::now(), page);
+        let following = (1..=count).map_while(|step| page.0.checked_add(step).map(PageId));
+        (following.take(EVICT_BATCH_MAX as usize).collect(), self.finish(node))
+    }
+
+    /// Asks for a page that nobody waits for, if there is room for it; the answer comes to `port`.
+    pub(crate) fn prefetch(&self, page: PageId, port: PortId, foretold: Foretold) -> Option<Work<'_>> {
+        let mut node = self.node.lock();
+        let is_asked = node.handle_prefetch(sys::now(), page, port, foretold);
         let work = self.finish(node);
         is_asked.then_some(work)
     }

@@ -49,7 +49,8 @@ pub struct Setup {
     pub reference: ReferenceSource,
     /// How many per cent of the slots hold hidden pages, where soft faults are the source.
     pub hidden_per_cent: u32,
-    /// With hints: bring the pages that a tile touched in the last frame before it starts.
+    /// With hints: bring the pages that a tile touched in the last frame before it starts. Whether a missed page brings
+    /// others along stands in `node`.
     pub prefetch: bool,
     /// Makes what is random repeatable.
     pub seed: u64,

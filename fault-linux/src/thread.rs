@@ -11,6 +11,7 @@ use std::sync::Arc;
 
 use dsm_core::id::{PageId, PortId};
 use dsm_core::node::Fault as Answer;
+use dsm_core::prefetch::Foretold;
 use dsm_core::stats::Histogram;
 use dsm_core::transport::Transport;
 
@@ -146,7 +147,7 @@ impl<T: Transport> Attached<T> {
         // SAFETY: as in `record`: this is not the handler, and nothing called from here loads from the region.
         let worker = unsafe { &mut *self.worker.get() };
         // What goes wrong is kept, and `check` tells of it.
-        let _ = worker.fetcher.prefetch(paging, &ahead, &room);
+        let _ = worker.fetcher.bring(paging, None, &ahead, &room);
     }
 
     /// This thread has drawn a tile and used these pages, each given once.
@@ -204,6 +205,14 @@ impl<T: Transport> Attached<T> {
         // SAFETY: as in `record`; the reference ends with this function.
         let worker = unsafe { &*self.worker.get() };
         worker.fetcher.stats.clone()
+    }
+
+    /// Faults of this thread so far that fetched a page or waited for one.
+    #[must_use]
+    pub fn misses(&self) -> u64 {
+        // SAFETY: as in `record`; the reference ends with this function.
+        let worker = unsafe { &*self.worker.get() };
+        worker.fetcher.stats.miss_ns.count()
     }
 
     /// The region it reads.
@@ -279,7 +288,7 @@ impl<T: Transport> Fetcher<T> {
             paging.hide(&work)?;
             match answer {
                 Answer::Ready => break,
-                Answer::Fetch if self.receive(paging, page)? => break,
+                Answer::Fetch if self.receive_along(paging, page)? => break,
                 Answer::Show => {
                     paging.show(page)?;
                     break;
@@ -298,26 +307,47 @@ impl<T: Transport> Fetcher<T> {
         Ok(first)
     }
 
-    /// Brings pages that nobody waits for, several at a time, once `room` has been made for them.
-    fn prefetch(&mut self, paging: &Paging, pages: &[PageId], room: &Work<'_>) -> Result<(), PageFailure> {
-        paging.evict(room)?;
+    /// Receives `page`, which has been asked for, and pages after it where those are worth bringing along. Tells whether
+    /// `page` came.
+    fn receive_along(&mut self, paging: &Paging, page: PageId) -> Result<bool, PageFailure> {
+        let (neighbours, room) = paging.neighbours(page);
+        if neighbours.is_empty() {
+            self.receive(paging, page)
+        } else {
+            self.bring(paging, Some(page), &neighbours, &room)
+        }
+    }
+
+    /// Brings pages that nobody waits for, several at a time, once `room` has been made for them: the neighbours of `asked`,
+    /// which is under way, or else those of a tile. Tells whether `asked` came.
+    fn bring(
+        &mut self,
+        paging: &Paging,
+        asked: Option<PageId>,
+        pages: &[PageId],
+        room: &Work<'_>,
+    ) -> Result<bool, PageFailure> {
+        let foretold = if asked.is_some() { Foretold::ByNeighbour } else { Foretold::ByTile };
         let mut under_way = heapless::Deque::<PageId, IN_FLIGHT_MAX>::new();
+        under_way.extend(asked);
+        let mut came = false;
+        paging.evict(room)?;
         for page in pages {
             if under_way.is_full()
                 && let Some(first) = under_way.pop_front()
             {
-                self.receive(paging, first)?;
+                came |= self.receive(paging, first)? && Some(first) == asked;
             }
-            if let Some(work) = paging.prefetch(*page, self.port) {
+            if let Some(work) = paging.prefetch(*page, self.port, foretold) {
                 self.send(&work);
                 let pushed = under_way.push_back(*page);
                 debug_assert!(pushed.is_ok(), "room was made above");
             }
         }
         while let Some(first) = under_way.pop_front() {
-            self.receive(paging, first)?;
+            came |= self.receive(paging, first)? && Some(first) == asked;
         }
-        Ok(())
+        Ok(came)
     }
 
     /// Waits for the answer to the request that is under way and puts the page in place. Ends by the request's

@@ -11,7 +11,7 @@ use std::time::Instant;
 
 use common::{Numbers, OTHER, Scene, read_word, word};
 use dsm_core::failure::Failure;
-use dsm_core::id::NodeId;
+use dsm_core::id::{NodeId, PageId};
 use dsm_core::replacement::PolicyKind;
 use dsm_core::transport::{Lossy, Received, SendError, Transport};
 use fault_linux::{AttachError, BackendKind, Reason, Region};
@@ -198,6 +198,42 @@ fn pages_larger_and_smaller_than_usual() {
                 assert_eq!(read_word(attached.bytes(), page_bytes, page, last), word(page, last));
             }
         }
+    }
+}
+
+#[test]
+fn a_missed_page_brings_along_what_follows_it_for_as_long_as_that_is_used() {
+    const TILES: u32 = 256;
+    for backend in [BackendKind::Uffd, BackendKind::Segv, BackendKind::Soft] {
+        let scene =
+            Scene { pages: 4 * TILES, page_bytes: 4096, slots: 64, neighbours_max: 4, ..Scene::SMALL };
+        // Of each four pages the last two are the other owner's. A tile uses both, or one.
+        let draw = |is_used: bool| {
+            let region = scene.region(Some(backend));
+            let attached = region.attach(scene.port(&scene.page_file(OTHER))).unwrap();
+            region.begin_frame(&(0..TILES).collect::<Vec<_>>());
+            for tile in 0..TILES {
+                attached.begin_tile(tile);
+                let pages = if is_used { 4 * tile + 2..4 * tile + 4 } else { 4 * tile + 2..4 * tile + 3 };
+                for page in pages.clone() {
+                    let record = attached.record(u64::from(page) * 4096 + 40, 8).unwrap();
+                    assert_eq!(record[..], word(page, 5).to_le_bytes(), "{backend}: page {page}");
+                }
+                attached.end_tile(tile, &pages.map(PageId).collect::<Vec<_>>());
+            }
+            attached.check().unwrap();
+            region.stats()
+        };
+        let stats = draw(true);
+        assert_eq!(
+            (stats.fetched_pages, stats.neighbour_prefetch.wasted),
+            (2 * u64::from(TILES), 0),
+            "{backend}"
+        );
+        assert_eq!(stats.requests, stats.faults + stats.neighbour_prefetch.asked, "{backend}");
+        assert!(stats.neighbour_prefetch.used > 200, "{backend}: {stats:?}");
+        let stats = draw(false);
+        assert!((1..40).contains(&stats.neighbour_prefetch.asked), "{backend}: {stats:?}");
     }
 }
 

@@ -10,14 +10,12 @@ use core::sync::atomic::{AtomicU64, Ordering};
 use common::{ME, Numbers, OTHER, Scene, assert_died, is_child, read_word, run_in_child, word};
 use dsm_core::home::{Answer, Home};
 use dsm_core::id::{NodeId, PageId};
-use dsm_core::replacement::PolicyKind;
 use dsm_core::transport::{Body, Received, SendError, Transport};
 use dsm_core::wire::HEADER_BYTES;
 use fault_linux::BackendKind;
 
 const THREADS: u64 = 8;
-const SCENE: Scene =
-    Scene { pages: 64, page_bytes: 65536, slots: 4, policy: PolicyKind::Random, deadline_us: 20_000_000 };
+const SCENE: Scene = Scene { pages: 64, page_bytes: 65536, deadline_us: 20_000_000, ..Scene::SMALL };
 
 /// Makes the other owner's pages word by word, giving way to other threads in between.
 #[derive(Debug)]

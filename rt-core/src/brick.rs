@@ -45,6 +45,16 @@ impl<'a> Brick<'a> {
         inside
     }
 
+    /// All samples, as numbers.
+    #[inline(always)]
+    pub(crate) fn samples(&self, to: &mut [f32; SAMPLES]) {
+        match self {
+            Self::U8(samples) => copy(to, samples, |&sample| f32::from(sample)),
+            Self::U16(samples) => copy(to, samples, |&sample| f32::from(u16::from_le_bytes(sample))),
+            Self::F32(samples) => copy(to, samples, |&sample| f32::from_le_bytes(sample)),
+        }
+    }
+
     #[inline]
     fn sample(&self, index: usize) -> f32 {
         let index = index % SAMPLES;
@@ -62,7 +72,12 @@ fn mark<T>(bytes: &mut [u8; SAMPLES], of: &[T; SAMPLES], is: impl Fn(&T) -> bool
     bytes.iter_mut().zip(of).for_each(|(byte, of)| *byte = u8::from(is(of)));
 }
 
-const SAMPLES: usize = crate::volume::BRICK_SAMPLES;
+#[inline(always)]
+fn copy<T>(to: &mut [f32; SAMPLES], from: &[T; SAMPLES], number: impl Fn(&T) -> f32) {
+    to.iter_mut().zip(from).for_each(|(to, from)| *to = number(from));
+}
+
+pub(crate) const SAMPLES: usize = crate::volume::BRICK_SAMPLES;
 
 /// From a sample to those of the same cell.
 pub(crate) const CORNERS: [usize; 8] =

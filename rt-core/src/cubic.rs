@@ -318,7 +318,7 @@ fn clamp(s: f32) -> f32 {
 pub(crate) const INTERPOLATIONS: u32 = 3;
 
 /// A Newton step in this is the last: some ten-millionths of a cell.
-const CLOSE: f32 = crate::scale::power_of_two(-22);
+pub(crate) const CLOSE: f32 = crate::scale::power_of_two(-22);
 
 /// Most Newton steps of `marmitt+newton`.
 pub(crate) const NEWTON_STEPS: u32 = 32;

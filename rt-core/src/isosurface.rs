@@ -200,7 +200,8 @@ impl<M: SceneMemory> Isosurfaces<'_, M> {
     }
 
     /// The children of a branch that any of the isosurfaces may be in.
-    fn children(&self, index: u64) -> Result<Children, Damaged> {
+    #[inline]
+    pub(crate) fn children(&self, index: u64) -> Result<Children, Damaged> {
         let branch = self.scene.range_branch(index)?;
         let may_be_in = |active, sought: &Sought| active | branch.active(sought.threshold);
         let active = self.sought().iter().fold(0, may_be_in);
@@ -316,14 +317,14 @@ impl<M: SceneMemory> Isosurfaces<'_, M> {
 }
 
 /// How many records a ray may still read; a valid image never runs out, since a ray meets each at most once.
-struct Budget {
-    branches: u64,
-    bricks: u64,
+pub(crate) struct Budget {
+    pub(crate) branches: u64,
+    pub(crate) bricks: u64,
 }
 
 impl Budget {
     #[inline]
-    fn spend(left: &mut u64) -> Result<(), Damaged> {
+    pub(crate) fn spend(left: &mut u64) -> Result<(), Damaged> {
         *left = left.checked_sub(1).ok_or(Damaged::Cycle)?;
         Ok(())
     }

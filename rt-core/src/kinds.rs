@@ -1,8 +1,8 @@
 //! Instances of the kernels: each is compiled for the kinds of primitives that a scene needs.
 //!
 //! A scene of triangles runs no instruction for spheres, nor the other way round. The instance is chosen once per
-//! tile, or once per ray where rays come one by one. The features `triangles` and `spheres` of the crate say which
-//! instances there are; [`SceneNeeds::BUILT`] is what they trace, and an image that needs more is refused.
+//! tile, or once per ray where rays come one by one. The features `triangles`, `spheres` and `volumes` of the crate say
+//! which instances there are; [`SceneNeeds::BUILT`] is what they trace, and an image that needs more is refused.
 
 use crate::needs::SceneNeeds;
 use crate::triangle_test::TriangleTest;
@@ -25,6 +25,11 @@ pub struct OnlyTriangles;
 #[derive(Clone, Copy, Debug)]
 pub struct OnlySpheres;
 
+/// Neither: a scene of a volume alone.
+#[cfg(feature = "volumes")]
+#[derive(Clone, Copy, Debug)]
+pub struct NoKinds;
+
 /// Every kind there is.
 #[derive(Clone, Copy, Debug)]
 pub struct AllKinds;
@@ -38,6 +43,13 @@ impl Kinds for OnlyTriangles {
 impl Kinds for OnlySpheres {
     const TRIANGLES: bool = false;
     const SPHERES: bool = true;
+    type Test<T: TriangleTest> = ();
+}
+
+#[cfg(feature = "volumes")]
+impl Kinds for NoKinds {
+    const TRIANGLES: bool = false;
+    const SPHERES: bool = false;
     type Test<T: TriangleTest> = ();
 }
 
@@ -64,14 +76,19 @@ pub fn dispatch<W: ForKinds>(needs: SceneNeeds, work: W) -> W::Output {
         (true, true) => work.run::<AllKinds>(),
         #[cfg(all(feature = "triangles", feature = "spheres"))]
         (false, true) => work.run::<OnlySpheres>(),
+        #[cfg(all(feature = "volumes", any(feature = "triangles", feature = "spheres")))]
+        (false, false) => work.run::<NoKinds>(),
         #[cfg(feature = "triangles")]
         _ => work.run::<OnlyTriangles>(),
-        #[cfg(not(feature = "triangles"))]
+        #[cfg(all(feature = "spheres", not(feature = "triangles")))]
         _ => work.run::<OnlySpheres>(),
+        #[cfg(not(any(feature = "triangles", feature = "spheres")))]
+        // The header was checked: the scene needs neither.
+        _ => work.run::<NoKinds>(),
     }
 }
 
-#[cfg(not(any(feature = "triangles", feature = "spheres")))]
+#[cfg(not(any(feature = "triangles", feature = "spheres", feature = "volumes")))]
 compile_error!(
-    "without `triangles` and without `spheres` there is nothing to trace; enable one of the features"
+    "without `triangles`, `spheres` and `volumes` there is nothing to trace; enable one of the features"
 );

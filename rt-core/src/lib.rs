@@ -11,11 +11,12 @@
 //! clusters it meets ([`cluster`], [`triangle_woop`], [`sphere`]) and answers with a [`Hit`]. [`render_tile`] draws one
 //! tile of a [`Frame`], with hard shadows: ray by ray, or as one *beam* that takes 256 rays through the grid at once.
 //! A beam only proposes what each pixel may show; where its rounding leaves a doubt, the pixel's ray decides. So both
-//! draw the same bytes, with any [`Lanes`], and the [`Kernel`] is a choice of speed alone.
+//! draw the same bytes, with any [`Lanes`], and the [`Kernel`] is a choice of speed alone. The [isosurfaces](isosurface) of
+//! a [`volume`] come by the same two ways.
 //!
 //! # What a scene does not need
-//! A scene of triangles runs no instruction for spheres, nor the other way round ([`kinds`]). The features
-//! `triangles` and `spheres`, both on by default, remove a kind from the binary altogether; an image that needs
+//! A scene of triangles runs no instruction for spheres or volumes, nor the other way round ([`kinds`]). The features
+//! `triangles`, `spheres` and `volumes`, all on by default, remove a kind from the binary altogether; an image that needs
 //! what was left out is refused by its header. Likewise `shadows`, which frames may want, and `lanes-avx2` and
 //! `lanes-avx512`, without which narrower lanes give the same bits.
 //!

@@ -93,8 +93,8 @@ impl Tile {
 /// Draws one tile: a grey byte per pixel, row by row, into `pixels`.
 ///
 /// Each pixel is one ray from the eye, flat shading, and a hard shadow of the point light. The bytes depend
-/// on the scene and the frame alone, not on the kernel. Beams take some 200 KB of stack. The isosurfaces of a volume are
-/// those of the frame.
+/// on the scene and the frame alone, not on the kernel. Beams take some 200 KB of stack, and through volumes some 300 KB. The
+/// isosurfaces of a volume are those of the frame.
 ///
 /// # Edge cases
 /// A pixel whose rays end in [`Damaged`] shows the background and is counted.

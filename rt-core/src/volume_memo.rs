@@ -5,6 +5,7 @@
 //! kilobytes that the caller has on its stack. Nothing of it shows in a picture.
 
 use crate::brick::Brick;
+use crate::volume::BRICK_EDGE;
 
 /// Somewhere to keep masks. That of `()` keeps nothing, for rays that come one by one.
 pub(crate) trait Memo {
@@ -44,15 +45,30 @@ impl CellMask {
     pub(crate) fn new(brick: &Brick<'_>, isovalues: impl Iterator<Item = f32>) -> Self {
         let mut mask = [0; 7];
         for isovalue in isovalues {
-            let inside = brick.inside(isovalue);
-            for (cells, slices) in mask.iter_mut().zip(inside.windows(2)) {
-                let [a, b] = [slices[0], slices[1]];
-                let (any, all) = (a | b, a & b);
-                let (any, all) = (any | any >> 1, all & all >> 1);
-                *cells |= (any | any >> 8) & !(all & all >> 8);
-            }
+            let Self(crossed) = Self::of(&brick.inside(isovalue));
+            mask.iter_mut().zip(crossed).for_each(|(cells, crossed)| *cells |= crossed);
         }
         Self(mask)
+    }
+
+    /// The mask for samples that are inside: for each z a bit `x + 8 y` each.
+    #[inline(always)]
+    pub(crate) fn of(inside: &[u64; BRICK_EDGE]) -> Self {
+        let mut mask = [0; 7];
+        for (cells, slices) in mask.iter_mut().zip(inside.windows(2)) {
+            let [a, b] = [slices[0], slices[1]];
+            let (any, all) = (a | b, a & b);
+            let (any, all) = (any | any >> 1, all & all >> 1);
+            *cells = (any | any >> 8) & !(all & all >> 8) & CELLS;
+        }
+        Self(mask)
+    }
+
+    /// The cells by z, none in the last slice.
+    #[inline(always)]
+    pub(crate) const fn slices(&self) -> [u64; BRICK_EDGE] {
+        let [a, b, c, d, e, f, g] = self.0;
+        [a, b, c, d, e, f, g, 0]
     }
 
     #[inline]
@@ -116,3 +132,6 @@ const fn place(index: u64, places: usize) -> usize {
 const BRANCHES: usize = 64;
 
 const BRICKS: usize = 128;
+
+/// A slice's lowest samples of cells: the last of a row, and the last row, are of none.
+const CELLS: u64 = 0x007f_7f7f_7f7f_7f7f;

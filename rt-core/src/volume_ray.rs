@@ -32,7 +32,8 @@ pub struct VolumeRay {
 /// Where a volume lies in the space that rays are in.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct VolumePlace {
-    origin: [f64; 3],
+    /// Place of the first sample.
+    pub(crate) origin: [f64; 3],
     /// Cells per unit of length.
     pub(crate) per_length: [f64; 3],
 }
@@ -188,7 +189,7 @@ fn clamp(value: f32) -> f32 {
 
 /// What a direction of zero is taken as where it is divided by: a plane is then either far away, or at 0 where the
 /// ray lies in it.
-const TINY: f64 = 1.0e-200;
+pub(crate) const TINY: f64 = 1.0e-200;
 
 #[cfg(test)]
 mod tests {

@@ -4,6 +4,7 @@ use core::marker::PhantomData;
 
 use glam::Vec3;
 
+use crate::beam;
 use crate::blocks::block_and_lane;
 use crate::count::{Count, TileCounts};
 use crate::grid_ray::GridRay;
@@ -13,7 +14,7 @@ use crate::kinds::{ForKinds, Kinds, dispatch};
 use crate::memory::SceneMemory;
 use crate::scale::Scale;
 use crate::shade::{self, ALBEDO, AMBIENT, LitPoint};
-use crate::simd::{Lanes, Simd, Task};
+use crate::simd::{Simd, Task};
 use crate::tile::{Depths, Tile, TileView};
 use crate::view::Damaged;
 use crate::volume_memo::TileMemo;
@@ -36,8 +37,7 @@ pub(crate) fn draw<M: SceneMemory, C: Count>(
         let rays = pixels.len() as u64;
         return TileCounts { primary: rays, damaged: rays, ..TileCounts::default() };
     };
-    let (Kernel::Beams(lanes) | Kernel::Rays(lanes)) = kernel;
-    dispatch(view.scene.header().needs, DrawTile { view, isosurfaces, tile, lanes, pixels, work })
+    dispatch(view.scene.header().needs, DrawTile { view, isosurfaces, tile, kernel, pixels, work })
 }
 
 /// A tile, and how to draw it.
@@ -45,7 +45,7 @@ struct DrawTile<'a, M, C> {
     view: &'a TileView<'a, M>,
     isosurfaces: Option<Isosurfaces<'a, M>>,
     tile: Tile,
-    lanes: Lanes,
+    kernel: Kernel,
     pixels: &'a mut [u8],
     work: &'a mut C,
 }
@@ -54,7 +54,19 @@ impl<M: SceneMemory, C: Count> ForKinds for DrawTile<'_, M, C> {
     type Output = TileCounts;
 
     fn run<K: Kinds>(self) -> TileCounts {
-        self.lanes.run(DrawByRays { tile: self, kinds: PhantomData::<K> })
+        let Self { view, isosurfaces, tile, kernel, pixels, work } = self;
+        let by_beams = match (kernel, &isosurfaces) {
+            (Kernel::Beams(lanes), Some(surfaces)) => {
+                beam::volume::draw::<M, C, K>(lanes, view, surfaces, tile, pixels, work)
+            }
+            (Kernel::Beams(lanes), None) if view.scene.header().needs.has_primitives() => {
+                beam::draw::<M, C, K>(lanes, view, tile, pixels, work)
+            }
+            _ => None,
+        };
+        let (Kernel::Beams(lanes) | Kernel::Rays(lanes)) = kernel;
+        let tile = DrawTile { view, isosurfaces, tile, kernel, pixels, work };
+        by_beams.unwrap_or_else(|| lanes.run(DrawByRays { tile, kinds: PhantomData::<K> }))
     }
 }
 

@@ -19,6 +19,7 @@ use rt_core::{
     Bounds, Damaged, Flat, Frame, Isosurface, Kernel, Lanes, Orbit, Ray, SceneMemory, SceneNeeds, SceneView,
     Solver, Tiles, WorkCounts, render_tile,
 };
+use scene::volume::StoredType;
 use scene::{BuildOptions, build, builtin, write_volume};
 
 /// A dense volume too large for any machine: what is read is made up when it is.
@@ -316,6 +317,49 @@ fn every_kernel_draws_the_bits_that_rays_draw() {
             }
         }
     }
+}
+
+#[test]
+fn from_inside_a_closed_surface_every_pixel_of_every_view_is_a_hit() {
+    // Closed, with dents; the eye is in the middle of it.
+    let dented = |spacing: [f64; 3]| {
+        let mut volume = InMemory::new([31, 27, 35], |at| {
+            let [x, y, z] = [0, 1, 2].map(|axis| at[axis] as f64 - [15.2, 13.1, 17.4][axis]);
+            let ripple = (1.3 * x).sin() * (0.9 * y).cos() + (1.1 * z).sin();
+            single(100.0 - (x * x + y * y + z * z) + 12.0 * ripple)
+        });
+        volume.shape = volume.shape.with_spacing(spacing).expect("spacing");
+        volume
+    };
+    let mut pixels = 0;
+    for (spacing, stored) in [([1.0; 3], None), ([1.0; 3], Some(StoredType::U8)), ([0.01, 1.0, 10.0], None)] {
+        let image = dented(spacing).image(stored, 4096);
+        let scene = view(&image);
+        for (direction, solver) in (0..24).zip(Solver::ALL.into_iter().cycle()) {
+            let place = OrbitPlace {
+                radius: 1.0,
+                elevation: f64::from(direction % 7) * 29.0 - 87.0,
+                frame: direction,
+                frames: 24,
+            };
+            let frame =
+                Frame::on_orbit(&Orbit::around(&scene.header().view), &place, 70, 70).expect("a frame");
+            let surfaces = [Isosurface { value: 0.5, albedo: 0.8 }];
+            let mut frame = frame.with_isosurfaces(&surfaces, solver).expect("a frame");
+            // The orbit is round, and the volume may be flat.
+            frame.camera.eye = (scene.header().view.low + scene.header().view.high) * 0.5;
+            for kernel in Kernel::available() {
+                let tiles = Tiles::of(frame.width, frame.height);
+                for tile in tiles.ids().filter_map(|id| tiles.get(id)) {
+                    let mut drawn = vec![0; tile.pixels()];
+                    let counts = render_tile(&scene, &frame, tile, kernel, &mut drawn, &mut ());
+                    assert_eq!(counts.hits, counts.primary, "{kernel}, {solver}, {place:?}, {tile:?}");
+                    pixels += counts.hits;
+                }
+            }
+        }
+    }
+    assert!(pixels > 300_000, "{pixels}");
 }
 
 #[test]

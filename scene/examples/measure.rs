@@ -7,7 +7,7 @@
 //! ```
 //! Without a mesh, or with a number in its place, the built-in knot is used, of that many triangles; with a name
 //! like `sphereflake:3`, that scene; what `memsavvy` takes for a volume is one, shown at
-//! `--iso` by `--solver`. Rays are traced by one thread, `--threads` is for preparing. Times are best and median over the repetitions.
+//! `--iso` by `--solver`. Kernels take turns, so that they meet the same machine. Rays are traced by one thread, `--threads` is for preparing. Times are best and median over the repetitions.
 
 use core::cell::RefCell;
 use core::error::Error;
@@ -42,9 +42,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let scene = SceneView::new(Flat::new(&image))?;
     print_info(&Info::from(scene.header()));
     for &radius in &options.radii {
-        for &kernel in &options.kernels {
-            measure_rays(&scene, radius, kernel, &options)?;
-        }
+        measure_rays(&scene, radius, &options)?;
     }
     Ok(())
 }
@@ -106,37 +104,38 @@ fn print_info(info: &Info) {
     );
 }
 
-fn measure_rays(
-    scene: &SceneView<Flat<'_>>,
-    radius: f32,
-    kernel: Kernel,
-    options: &Options,
-) -> Result<(), Box<dyn Error>> {
+/// Draws a frame by every kernel in turn, again and again, and prints the times of each.
+fn measure_rays(scene: &SceneView<Flat<'_>>, radius: f32, options: &Options) -> Result<(), Box<dyn Error>> {
     let orbit = Orbit::around(&scene.header().view);
     let place = OrbitPlace { radius, elevation: options.elevation, frame: options.frame, frames: 12 };
     let surfaces: Vec<Isosurface> =
         options.isovalues.iter().map(|&value| Isosurface { value, albedo: ALBEDO }).collect();
     let frame = Frame::on_orbit(&orbit, &place, options.size, options.size)?
         .with_isosurfaces(&surfaces, options.solver)?;
-    let (mut whole, mut primary) = (Vec::new(), Vec::new());
-    let mut work = WorkCounts::default();
-    let (counts, picture) = draw(scene, &frame, kernel, &mut work);
+    let mut times = vec![(Vec::new(), Vec::new()); options.kernels.len()];
     for _ in 0..options.reps_of_rays {
-        let started = Instant::now();
-        draw(scene, &frame, kernel, &mut ());
-        whole.push(started.elapsed().as_secs_f64());
-        let started = Instant::now();
-        let (lit, _) = draw(scene, &Frame { flags: Frame::NO_SHADOWS, ..frame }, kernel, &mut ());
-        primary.push(started.elapsed().as_secs_f64());
-        assert_eq!(lit.hits, counts.hits, "both trace the same rays");
+        for (&kernel, (whole, primary)) in options.kernels.iter().zip(&mut times) {
+            let started = Instant::now();
+            draw(scene, &frame, kernel, &mut ());
+            whole.push(started.elapsed().as_secs_f64());
+            let started = Instant::now();
+            draw(scene, &Frame { flags: Frame::NO_SHADOWS, ..frame }, kernel, &mut ());
+            primary.push(started.elapsed().as_secs_f64());
+        }
     }
-    print!("{}, ", kernel);
-    print_rays(radius, &counts, &work, best_and_median(&mut whole), best_and_median(&mut primary));
-    if scene.header().volume.is_some() {
-        print_pages(scene, &frame, kernel);
-    }
-    if let Some(path) = &options.out {
-        write_png(&picture, options.size, path)?;
+    let mut first: Option<Vec<u8>> = None;
+    for (&kernel, (whole, primary)) in options.kernels.iter().zip(&mut times) {
+        let mut work = WorkCounts::default();
+        let (counts, picture) = draw(scene, &frame, kernel, &mut work);
+        print!("{}, ", kernel);
+        print_rays(radius, &counts, &work, best_and_median(whole), best_and_median(primary));
+        if scene.header().volume.is_some() {
+            print_pages(scene, &frame, kernel);
+        }
+        assert!(*first.get_or_insert_with(|| picture.clone()) == picture, "{kernel} draws another picture");
+        if let Some(path) = &options.out {
+            write_png(&picture, options.size, path)?;
+        }
     }
     Ok(())
 }
@@ -228,6 +227,10 @@ fn print_pages(scene: &SceneView<Flat<'_>>, frame: &Frame, kernel: Kernel) {
     let touched = noted.memory().touched.borrow();
     let of_bricks = touched.iter().filter(|page| **page >= start / page_bytes);
     let (all, in_own) = (of_bricks.clone().count(), of_bricks.filter(|page| own.contains(page)).count());
+    println!(
+        "  {:.3} pages of bricks read for each that the surface lies on",
+        all as f64 / own.len().max(1) as f64
+    );
     println!(
         "  pages of bricks: {all} read, {in_own} of them among the {} that the surface lies on, of {} in all; {} others read",
         own.len(),

@@ -1,5 +1,5 @@
 //! `SAME_IMAGE`: the image is bit-identical for any number of nodes and threads, any memory, page size, backend,
-//! policy, source of reference bits, transport and balancer, and equals the replicated one.
+//! policy, source of reference bits, transport, displays and balancer, and equals the replicated one.
 //!
 //! There are some thousand combinations. Continuous integration runs a part of them in which every value and most
 //! pairs of values occur; `./ci.sh same-image` runs all (`MEMSAVVY_ALL=1`).
@@ -16,11 +16,12 @@ const BACKENDS: [&str; 3] = ["uffd", "segv", "soft"];
 const POLICIES: [&str; 6] = ["random", "fifo", "clock", "sieve", "s3-fifo", "recall"];
 const REFERENCES: [&str; 3] = ["none", "hints", "soft-faults"];
 const TRANSPORTS: [&str; 2] = ["shm", "shm-ring"];
+const DISPLAYS: [u32; 2] = [1, 3];
 const BALANCERS: [&str; 4] = ["static", "demand", "steal", "steal-near"];
-const COMBINATIONS: usize = 3 * 2 * 4 * 3 * 3 * 6 * 2 * 3 * 4;
+const COMBINATIONS: usize = 3 * 2 * 4 * 3 * 3 * 6 * 2 * 3 * 2 * 4;
 
-/// Runs in continuous integration: every 421st, a number that shares no divisor with any of the counts above.
-const STRIDE: usize = 421;
+/// Runs in continuous integration: every 1249th, a number that shares no divisor with any of the counts above.
+const STRIDE: usize = 1249;
 
 #[derive(Clone, Copy, Debug)]
 struct Combination {
@@ -32,6 +33,7 @@ struct Combination {
     policy: &'static str,
     transport: &'static str,
     reference: &'static str,
+    displays: u32,
     balancer: &'static str,
 }
 
@@ -52,6 +54,7 @@ impl Combination {
             policy: POLICIES[digit(6)],
             transport: TRANSPORTS[digit(2)],
             reference: REFERENCES[digit(3)],
+            displays: DISPLAYS[digit(2)],
             balancer: BALANCERS[digit(4)],
         }
     }
@@ -60,10 +63,12 @@ impl Combination {
     fn flags(&self) -> Vec<String> {
         let share: u32 = self.memory.trim_end_matches('%').parse().unwrap();
         let stores = if share * self.nodes < 120 && share < 100 { 2 } else { 0 };
-        let Self { nodes, threads, memory, page, backend, policy, transport, reference, balancer } = self;
+        let Self { nodes, threads, memory, page, backend, policy, transport, reference, displays, balancer } =
+            self;
         format!(
             "--nodes {nodes} --stores {stores} --threads {threads} --memory {memory} --page {page} --backend {backend} \
-             --policy {policy} --transport {transport} --reference {reference} --balance {balancer} --deadline 60"
+             --replacement {policy} --transport {transport} --reference {reference} --displays {displays} \
+             --balance {balancer} --deadline 60"
         )
         .split_whitespace()
         .map(str::to_owned)
@@ -171,5 +176,6 @@ fn the_combinations_cover_every_value() {
         for threads in THREADS {
             assert!(chosen.iter().any(|one| one.nodes == nodes && one.threads == threads));
         }
+        assert!(DISPLAYS.iter().all(|count| chosen.iter().any(|one| one.displays == *count)));
     }
 }

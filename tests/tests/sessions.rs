@@ -34,7 +34,7 @@ const CLUSTERS: [&[&str]; 4] = [
         "12%",
         "--backend",
         "soft",
-        "--policy",
+        "--replacement",
         "fifo",
     ],
 ];

@@ -24,11 +24,12 @@ struct Cluster {
 
 impl Cluster {
     fn arguments<'a>(&self, image: &'a str) -> Vec<&'a str> {
-        let (stores, memory) = if self.stores > 0 { ("2", "20%") } else { ("0", "80%") };
+        let (stores, memory, displays) = if self.stores > 0 { ("2", "20%", "3") } else { ("0", "80%", "1") };
         let cluster = ["--nodes", "3", "--stores", stores, "--memory", memory, "--threads", "2"];
         let pages = ["--replicas", "2", "--transport", self.transport, "--backend", self.backend];
+        let gather = ["--displays", displays];
         let view = ["--size", "256x256", "--frames", "3", "--radius", "0.8", "--deadline", "50"];
-        [&[image][..], &cluster, &pages, &view].concat()
+        [&[image][..], &cluster, &pages, &gather, &view].concat()
     }
 
     /// Whom to kill and when, as the seed says: a node, and a store if there are stores.
@@ -107,6 +108,29 @@ fn any_store_and_any_node_may_be_killed_and_the_picture_is_the_same() {
 }
 
 #[test]
+fn who_dies_while_pages_are_filled_is_not_missed() {
+    let folder = Folder::new("dies-early");
+    let image = scene(&folder);
+    let mut early = 0;
+    for (stores, transport, victims) in
+        [(2, "shm", &["0@start", "4@start"][..]), (0, "shm-ring", &["2@start"]), (0, "shm", &["1@start"])]
+    {
+        let cluster = Cluster { stores, transport, backend: "uffd" };
+        let arguments = cluster.arguments(&image);
+        let whole = render(&folder, &arguments);
+        let kills: Vec<String> = victims.iter().map(|kill| (*kill).to_owned()).collect();
+        let report = disturbed(&folder, &arguments, &kills, &format!("{cluster:?}, {kills:?}"));
+        assert_eq!(report.losses.len(), kills.len());
+        early += report.losses.iter().filter(|loss| loss.doing == "the home pages were filled").count();
+        let hashes = |report: &RunReport| -> Vec<String> {
+            report.frames.iter().map(|frame| frame.image_hash.clone()).collect()
+        };
+        assert_eq!(hashes(&report), hashes(&whole));
+    }
+    assert!(early > 0, "all had filled their pages when they died");
+}
+
+#[test]
 fn what_cannot_be_spared_ends_the_run_with_its_name() {
     let folder = Folder::new("not-spared");
     let image = scene(&folder);
@@ -114,6 +138,7 @@ fn what_cannot_be_spared_ends_the_run_with_its_name() {
     for (flags, victim) in [
         (&["--nodes", "2", "--stores", "2", "--kill", "0@1:9"][..], "node 0"),
         (&["--nodes", "2", "--stores", "2", "--kill", "3@1:9"], "store 3"),
+        (&["--nodes", "2", "--stores", "2", "--kill", "3@start"], "store 3"),
         (&["--nodes", "1", "--stores", "2", "--replicas", "2", "--kill", "0@1:9"], "node 0"),
         (
             &["--nodes", "2", "--stores", "2", "--replicas", "2", "--kill", "2@0:9", "--kill", "3@1:9"],

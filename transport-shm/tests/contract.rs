@@ -47,6 +47,7 @@ fn request(page: u32, number: u32) -> [u8; HEADER_BYTES] {
         to: OWNER,
         page,
         request: number,
+        stamp_us: 0,
         from_incarnation: Incarnation(0),
         to_incarnation: Incarnation(0),
         body: Body::REQUEST,

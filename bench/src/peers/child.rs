@@ -45,7 +45,7 @@ impl Obedient {
     }
 
     /// Ends the program, and gives the status that it ends with.
-    fn end(&mut self) -> Result<Option<i32>> {
+    pub(crate) fn end(&mut self) -> Result<Option<i32>> {
         // The end of its input ends the program.
         self.requests = None;
         Ok(self.child.wait()?.code())

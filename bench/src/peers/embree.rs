@@ -49,6 +49,8 @@ pub(crate) enum Edges {
 /// How much care the builder takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Quality {
+    /// By Morton codes.
+    Low,
     Medium,
     High,
 }
@@ -68,6 +70,10 @@ struct Hello {
     version: u32,
 }
 
+/// The answer to another scene.
+#[derive(Debug, Deserialize)]
+struct Loaded {}
+
 impl Peer {
     /// Starts a program on the scene of a file. Nothing is built yet.
     pub(crate) fn start(program: &Path, scene: &Path, level: Level) -> Result<Self> {
@@ -78,6 +84,12 @@ impl Peer {
         let name = format!("Embree {}.{}.{}", version / 10_000, version / 100 % 100, version % 100);
         program.name = format!("{name} {}", level.name());
         Ok(Self { name, level, program })
+    }
+
+    /// Forgets all structures, and takes the scene of another file.
+    pub(crate) fn load(&mut self, scene: &Path) -> Result<()> {
+        let Loaded {} = self.program.ask(&format!("scene {}", scene.display()))?;
+        Ok(())
     }
 
     /// Builds a structure anew.
@@ -137,6 +149,7 @@ impl Edges {
 impl Quality {
     pub(crate) const fn name(self) -> &'static str {
         match self {
+            Self::Low => "low",
             Self::Medium => "medium",
             Self::High => "high",
         }

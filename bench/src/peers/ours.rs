@@ -22,6 +22,16 @@ impl Kernel {
         rt_core::Kernel::available().map(Self)
     }
 
+    /// The one that nodes draw with when nobody says.
+    pub(crate) fn fastest() -> Self {
+        Self(rt_core::Kernel::fastest())
+    }
+
+    /// The one that follows one ray at a time, with the widest vectors.
+    pub(crate) fn rays() -> Self {
+        Self(rt_core::Kernel::rays())
+    }
+
     /// The kernel that follows one ray at a time, on any processor.
     #[cfg(test)]
     pub(crate) const RAYS: Self = Self(rt_core::Kernel::Rays(rt_core::Lanes::PORTABLE));

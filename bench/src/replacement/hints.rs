@@ -25,17 +25,18 @@ const PAGE_BYTES: u32 = 16 << 10;
 
 /// Times one frame of each scene with and without hints, in turns, by the processor time of this thread.
 pub(super) fn measure(effort: Effort) -> Result<(Table, Vec<Aim>)> {
-    let heads = ["scene", "pages of a tile", "ms a frame", "cost of hints, %"];
+    let heads = ["scene", "pages of a tile", "ms a frame", "of it noting pages, %", "cost of hints, %"];
     let mut table = Table::new("hints", "What it costs to tell the policy which pages tiles use", &heads);
     let mut aims = Vec::new();
     for (name, mesh) in meshes(effort)? {
         let bytes = build(mesh, &BuildOptions::default(), &|_| {})?.to_bytes(PAGE_BYTES)?;
-        let (plain_ms, cost, pages) = compare(&bytes, effort)?;
+        let Cost { plain_ms, noting, cost, pages } = compare(&bytes, effort)?;
         aims.push(Aim::at_most(format!("{name}: cost of hints, in % of a frame"), cost.median, COST_MAX));
         table.push(vec![
             Cell::text(name),
             Cell::Number(pages, 1),
             Cell::Spread(plain_ms, 1),
+            Cell::Spread(noting, 2),
             Cell::Spread(cost, 2),
         ]);
     }
@@ -51,8 +52,19 @@ fn meshes(effort: Effort) -> Result<Vec<(&'static str, Mesh)>> {
     Ok(meshes)
 }
 
-/// Milliseconds of a plain frame, what hints add to it in per cent, and pages of a tile.
-fn compare(bytes: &[u8], effort: Effort) -> Result<(Spread, Spread, f64)> {
+/// What hints cost of one scene.
+struct Cost {
+    /// Milliseconds of a plain frame.
+    plain_ms: Spread,
+    /// What noting pages adds to it, in per cent, when nobody wants to know them.
+    noting: Spread,
+    /// What hints add to it.
+    cost: Spread,
+    /// Pages of a tile.
+    pages: f64,
+}
+
+fn compare(bytes: &[u8], effort: Effort) -> Result<Cost> {
     let notes = Notes::new(PAGE_BYTES, bytes.len() as u64);
     let plain = SceneView::new(Flat::new(bytes))?;
     let noted = SceneView::new(Noted::new(Flat::new(bytes), &notes))?;
@@ -60,17 +72,22 @@ fn compare(bytes: &[u8], effort: Effort) -> Result<(Spread, Spread, f64)> {
     let place = OrbitPlace { radius: 0.75, elevation: 0.0, frame: 1, frames: 180 };
     let frame = Frame::on_orbit(&Orbit::around(&plain.header().view), &place, size, size)?;
     let mut listener = Listener::new(bytes.len().div_ceil(PAGE_BYTES as usize));
-    let (mut plain_ms, mut costs) = (Vec::new(), Vec::new());
+    let (mut plain_ms, mut noting, mut costs) = (Vec::new(), Vec::new(), Vec::new());
     for _ in 0..effort.pick(31, 2) {
         let without = draw(&plain, &frame, |_| {});
+        let only_noted = draw(&noted, &frame, |_| notes.take(|_| {}));
+        let start = processor_ms();
         listener.begin(&frame);
+        let begin_ms = processor_ms() - start;
         let with = draw(&noted, &frame, |tile| notes.take(|pages| listener.end_tile(tile, pages)));
         ensure!(without.picture == with.picture, "SAME_IMAGE: hints change the picture");
         plain_ms.push(without.ms);
-        costs.push(100.0 * (with.ms / without.ms - 1.0));
+        noting.push(100.0 * (only_noted.ms / without.ms - 1.0));
+        costs.push(100.0 * ((begin_ms + with.ms) / without.ms - 1.0));
     }
     let tiles = f64::from(Tiles::of(size, size).count() * effort.pick(31, 2));
-    Ok((Spread::of(&plain_ms), Spread::of(&costs), listener.heard as f64 / tiles))
+    let pages = listener.heard as f64 / tiles;
+    Ok(Cost { plain_ms: Spread::of(&plain_ms), noting: Spread::of(&noting), cost: Spread::of(&costs), pages })
 }
 
 /// A frame that was drawn, and the processor time it took.

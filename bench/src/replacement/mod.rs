@@ -15,7 +15,7 @@ use crate::experiment::{Effort, Experiment};
 use crate::findings::{Aim, Findings};
 use crate::plot::{Axis, Chart, Line, Plot};
 use crate::table::{Cell, Table};
-use replays::{Counts, Source, replay, touches_of};
+use replays::{Ahead, Counts, Source, replay, touches_of};
 use traces::{Named, traces};
 
 pub(crate) const EXPERIMENT: Experiment = Experiment {
@@ -160,7 +160,7 @@ impl Source {
             Self::Nothing => "none".to_owned(),
             Self::SoftFaults(share) => format!("soft faults {:.0} %", 100.0 * share),
             Self::Hints => "hints".to_owned(),
-            Self::Prefetch => "hints and prefetch".to_owned(),
+            Self::Prefetch(ahead) => format!("hints, {} ahead", ahead.name()),
         }
     }
 }
@@ -212,49 +212,67 @@ fn hidden_table(raced: &[Raced]) -> Table {
     table
 }
 
-/// What prefetching the page sets of tiles spares of misses, and what it costs in pages.
+impl Ahead {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Neighbours => "neighbours",
+            Self::Tiles => "tiles",
+            Self::Both => "both",
+        }
+    }
+}
+
+/// What prefetch spares of misses, and what it costs in pages.
 fn prefetch_table(raced: &[Raced]) -> Table {
-    let heads =
-        ["trace", "slots %", "misses over min", "with prefetch", "pages over those without", "used %"];
-    let mut table =
-        Table::new("prefetch", "recall, with the page sets of tiles brought before they start", &heads);
+    let heads = ["trace", "slots %", "ahead", "misses", "pages moved", "brought ahead", "used %"];
+    let title = "recall: misses and pages moved with prefetch, over those without";
+    let mut table = Table::new("prefetch", title, &heads);
     for of in raced {
-        for share in [8, 16, 32] {
-            let counts = replay(&of.trace, slots(&of.trace, share), DEFAULT.policy, Source::Prefetch);
-            let min = of.min[index_of(share)] as f64;
+        for (share, ahead) in [8, 16, 32].into_iter().flat_map(|share| Ahead::ALL.map(|ahead| (share, ahead)))
+        {
+            let Paid { counts, misses, moved } = of.paid(share, ahead);
             table.push(vec![
                 Cell::text(&of.name),
                 Cell::Count(share.into()),
-                Cell::Number(of.over_min(DEFAULT, share), 2),
-                Cell::Number(counts.misses as f64 / min, 2),
-                Cell::Number(
-                    (counts.misses + counts.prefetched) as f64 / min / of.over_min(DEFAULT, share),
-                    2,
-                ),
+                Cell::text(ahead.name()),
+                Cell::Number(misses, 2),
+                Cell::Number(moved, 2),
+                Cell::Count(counts.prefetched),
                 Cell::Number(100.0 * counts.used as f64 / counts.prefetched.max(1) as f64, 0),
             ]);
         }
     }
-    table.note("the first frame of each trace, which nothing foretells, is counted everywhere");
+    table.note("tiles: what a tile touched in the last frame, before it starts; neighbours: what follows a missed page");
+    table.note("the first frame of each trace, which no frame before it foretells, is counted everywhere");
     table
 }
 
-fn prefetch_aims(of: &Raced) -> [Aim; 2] {
-    let counts = replay(&of.trace, slots(&of.trace, SIXTEEN), DEFAULT.policy, Source::Prefetch);
-    let without = of.over_min(DEFAULT, SIXTEEN) * of.min[index_of(SIXTEEN)] as f64;
-    let name = &of.name;
-    [
-        Aim::at_most(
-            format!("{name}: misses with prefetch, over those without"),
-            counts.misses as f64 / without,
-            1.0,
-        ),
-        Aim::at_most(
-            format!("{name}: pages moved with prefetch, over those without"),
-            (counts.misses + counts.prefetched) as f64 / without,
-            MORE_BYTES_MAX,
-        ),
-    ]
+/// What prefetch has brought.
+struct Paid {
+    counts: Counts,
+    /// Misses, over those without.
+    misses: f64,
+    /// Pages moved, over those without.
+    moved: f64,
+}
+
+impl Raced {
+    fn paid(&self, share: u32, ahead: Ahead) -> Paid {
+        let counts = replay(&self.trace, slots(&self.trace, share), DEFAULT.policy, Source::Prefetch(ahead));
+        let without = self.over_min(DEFAULT, share) * self.min[index_of(share)] as f64;
+        let moved = (counts.misses + counts.prefetched) as f64 / without;
+        Paid { counts, misses: counts.misses as f64 / without, moved }
+    }
+}
+
+fn prefetch_aims(of: &Raced) -> Vec<Aim> {
+    let aims = |ahead: Ahead| {
+        let Paid { misses, moved, .. } = of.paid(SIXTEEN, ahead);
+        let what =
+            |what: &str| format!("{}: {what} with {} ahead, over those without", of.name, ahead.name());
+        [Aim::at_most(what("misses"), misses, 1.0), Aim::at_most(what("pages moved"), moved, MORE_BYTES_MAX)]
+    };
+    Ahead::ALL.into_iter().flat_map(aims).collect()
 }
 
 fn aim_never_worse_than_random(raced: &[Raced]) -> Aim {

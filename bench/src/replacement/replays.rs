@@ -1,6 +1,7 @@
 //! Replaying a trace against a policy.
 
 use dsm_core::id::PageId;
+use dsm_core::node::NEIGHBOURS_MAX;
 use dsm_core::page_sets::{PageSetStorage, PageSets, SetEntry, TileEntry};
 use dsm_core::replacement::{Policy, PolicyKind, Replay, Touch};
 use dsm_core::storage::SlotEntry;
@@ -16,8 +17,23 @@ pub(crate) enum Source {
     SoftFaults(f64),
     /// At the end of each tile it is told which pages the tile has touched.
     Hints,
-    /// Hints, and before each tile the pages are brought that it touched in the last frame.
-    Prefetch,
+    /// Hints, and these pages are brought before they are touched.
+    Prefetch(Ahead),
+}
+
+/// Which pages are brought before they are touched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Ahead {
+    /// Those that follow a missed one.
+    Neighbours,
+    /// Before each tile, those that it touched in the last frame.
+    Tiles,
+    /// Both.
+    Both,
+}
+
+impl Ahead {
+    pub(crate) const ALL: [Self; 3] = [Self::Neighbours, Self::Tiles, Self::Both];
 }
 
 /// What a replay has counted, summed over the nodes of the trace.
@@ -73,7 +89,7 @@ impl<'a> Machine<'a, '_> {
         let tiles = frames.clone().flat_map(NodeFrame::tiles).map(|(tile, _)| tile.0).max().unwrap_or(0);
         let hidden = match source {
             Source::SoftFaults(share) => (slots as f64 * share).round().min(slots as f64 - 1.0),
-            Source::Nothing | Source::Hints | Source::Prefetch => 0.0,
+            Source::Nothing | Source::Hints | Source::Prefetch(_) => 0.0,
         };
         let (mut slot_of, mut slots) = (vec![0; pages], vec![SlotEntry::EMPTY; slots]);
         let mut entries = vec![SetEntry::EMPTY; 2 * touches_max];
@@ -82,13 +98,15 @@ impl<'a> Machine<'a, '_> {
         let storage = PageSetStorage { entries: &mut entries, tiles: &mut tiles, next_uses: &mut next_uses };
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below the slots")]
         let cache = Replay::new(&mut slot_of, &mut slots, policy, hidden as u32);
+        let has_neighbours = matches!(source, Source::Prefetch(Ahead::Neighbours | Ahead::Both));
+        let cache = if has_neighbours { cache.with_neighbours(NEIGHBOURS_MAX) } else { cache };
         let waiting = vec![false; pages];
         let mut machine = Machine { cache, sets: PageSets::new(storage), source, waiting, counts };
         frames.for_each(|frame| machine.draw(frame));
     }
 
     fn draw(&mut self, frame: &NodeFrame) {
-        let is_told = matches!(self.source, Source::Hints | Source::Prefetch);
+        let is_told = matches!(self.source, Source::Hints | Source::Prefetch(_));
         if is_told {
             let order: Vec<u32> = frame.tiles().map(|(TileId(tile), _)| tile).collect();
             self.sets.begin_frame(&order, |page, when| self.cache.forecast(page, when));
@@ -97,7 +115,7 @@ impl<'a> Machine<'a, '_> {
             if is_told {
                 self.cache.clock(self.sets.place_of(tile), self.sets.frame_end());
             }
-            if self.source == Source::Prefetch {
+            if matches!(self.source, Source::Prefetch(Ahead::Tiles | Ahead::Both)) {
                 self.prefetch(tile);
             }
             touches.iter().for_each(|page| self.touch(*page));
@@ -112,7 +130,14 @@ impl<'a> Machine<'a, '_> {
         match self.cache.touch(PageId(page)) {
             Touch::Hit => self.counts.used += u64::from(was_waiting),
             Touch::SoftFault => self.counts.soft_faults += 1,
-            Touch::Miss => self.counts.misses += 1,
+            Touch::Miss => {
+                self.counts.misses += 1;
+                let Self { cache, counts, waiting, .. } = self;
+                cache.prefetch_neighbours(PageId(page), |brought| {
+                    counts.prefetched += 1;
+                    waiting[brought.index()] = true;
+                });
+            }
         }
     }
 

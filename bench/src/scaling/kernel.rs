@@ -45,7 +45,7 @@ impl View {
         for (kernel, rates) in &mut self.rates {
             let shape = Shape { nodes: 1, holds: Holds::Replica };
             let options = Options { kernel: Some(*kernel), ..shape.options(&self.scene, amount)? };
-            let run = memsavvy::run::run(&options, |_, _| Ok(()))?;
+            let run = memsavvy::run::run(&options, |_| Ok(()))?;
             self.images.expect_same(&run)?;
             rates.push(run.totals.mrays_per_second);
         }

@@ -3,7 +3,7 @@
 //! A beam must not touch pages that none of its rays would: a tile drawn at once is no excuse for more traffic.
 
 use anyhow::Result;
-use memsavvy::run::{self, Options};
+use memsavvy::run::{self, Options, Prefetch};
 use rt_core::{Kernel, Lanes};
 
 use super::scenes::{Scene, Scenes};
@@ -23,8 +23,9 @@ pub(super) fn count(scenes: &Scenes, amount: Amount) -> Result<(Table, Vec<Aim>)
         let mut images = Images::default();
         let shape = Shape { nodes, holds: Holds::Sixteen };
         let [beams, rays] = [Kernel::fastest(), Kernel::Rays(Lanes::widest())].map(|kernel| -> Result<f64> {
-            let options = Options { kernel: Some(kernel), prefetch: false, ..shape.options(&scene, amount)? };
-            let run = run::run(&options, |_, _| Ok(()))?;
+            let options =
+                Options { kernel: Some(kernel), prefetch: Prefetch::None, ..shape.options(&scene, amount)? };
+            let run = run::run(&options, |_| Ok(()))?;
             images.expect_same(&run)?;
             Ok(run.totals.fetched_pages as f64 / run.frames.len() as f64)
         });

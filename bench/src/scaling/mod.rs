@@ -96,7 +96,7 @@ fn run(effort: Effort) -> Result<Findings> {
 /// Runs every shape once.
 fn round(scene: &Scene, amount: Amount, images: &mut Images) -> Result<Vec<RunReport>> {
     let run = |shape: Shape| {
-        let run = run::run(&shape.options(scene, amount)?, |_, _| Ok(()))?;
+        let run = run::run(&shape.options(scene, amount)?, |_| Ok(()))?;
         images.expect_same(&run)?;
         Ok(run)
     };
@@ -110,7 +110,7 @@ pub(crate) struct Images {
 }
 
 impl Images {
-    fn expect_same(&mut self, run: &RunReport) -> Result<()> {
+    pub(crate) fn expect_same(&mut self, run: &RunReport) -> Result<()> {
         let frames: Vec<String> = run.frames.iter().map(|frame| frame.image_hash.clone()).collect();
         let name = &run.scene.name;
         ensure!(

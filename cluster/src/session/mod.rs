@@ -199,7 +199,7 @@ mod tests {
             let error = format!("{:#}", Session::new("test", moments).unwrap_err());
             assert!(error.contains(words), "{words}: {error}");
         }
-        let moments = vec![at(1.0, [1.0; 3]), at(1.0, [0.0, 1.0, 0.001]), with(vec![surface; 4])];
+        let moments = [at(1.0, [1.0; 3]), at(1.0, [0.0, 1.0, 0.001]), with(vec![surface; 4])];
         assert!(Session::new("test", moments[..2].to_vec()).is_ok());
         assert!(Session::new("test", moments[2..].to_vec()).is_ok());
     }

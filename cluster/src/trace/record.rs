@@ -9,7 +9,7 @@ use rt_core::schedule::Static;
 use rt_core::{Flat, Frame, Kernel, SceneView, Solver, TILE_SIZE, Tiles, render_tile};
 
 use super::{NodeFrame, Trace};
-use crate::isovalue::Shown;
+use crate::isovalue::Surfaces;
 use crate::noted::{Noted, Notes};
 use crate::progress::FrameBar;
 use crate::run::{Source, Surface};
@@ -49,7 +49,7 @@ pub fn record(options: &Options) -> Result<Trace> {
         bail!("a trace needs a node that draws");
     }
     let image = options.source.open(options.page_bytes, quiet)?;
-    let shown = Shown::new(&options.isosurfaces, &options.session, &options.source, &image)?;
+    let shown = Surfaces::new(&options.isosurfaces, &options.session, &options.source, &image)?;
     let resolve = |asked: Option<&[Surface]>| shown.of_moment(asked);
     let frames = options.session.frames(&image.header.view, size, solver, resolve)?;
     let (header, name) = (image.header, image.name.clone());

@@ -55,7 +55,7 @@ fn member_fingerprint(member: &Member, now: Instant, hasher: &mut impl Hasher) {
         let waited = thread.wait().map(|wait| now.since(wait.world_since));
         match thread {
             Thread::Running => 0u8.hash(hasher),
-            Thread::Fetching(wait) => (1u8, wait.page).hash(hasher),
+            Thread::Fetching(wait) => (1u8, wait.page, wait.is_ahead).hash(hasher),
             Thread::WaitingForPage(wait) => (2u8, wait.page, waited).hash(hasher),
             Thread::WaitingForSlot(wait) => (3u8, wait.page, waited).hash(hasher),
         }

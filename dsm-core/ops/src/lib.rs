@@ -13,7 +13,7 @@
 //! | `BELIEVES_NO_STRANGER` | a message of another epoch, cluster, incarnation, of a dead node or of none that holds the page is refused |
 //! | `ONE_ANSWER` | only an answer to the request that is under way has an effect |
 //! | `BACKS_OFF` | the time to the next sending to a silent peer doubles |
-//! | `KARN` | a round trip is measured only where it is known which sending was answered |
+//! | `KARN` | a round trip is measured from the sending that was answered, whichever that was |
 //! | `DEAD_ARE_LEFT` | what was asked of a node that is known to be dead is due at once |
 //! | `SURVIVES` | when the network delivers, every page with a live copy can be had |
 //!

@@ -57,6 +57,10 @@ pub(crate) struct Wait {
     pub(crate) page: PageId,
     pub(crate) since: Instant,
     pub(crate) world_since: Instant,
+    /// It was asked for ahead: the thread goes on, whatever becomes of it.
+    pub(crate) is_ahead: bool,
+    /// Another thread has missed what was asked for ahead, so the deadline began again.
+    pub(crate) is_missed: bool,
 }
 
 /// What the driver is busy with.
@@ -239,6 +243,19 @@ impl Member {
             }
         };
         (sent, woken)
+    }
+
+    /// Somebody waits for a page that may have been asked for ahead: the first time, its deadline begins again.
+    pub(crate) fn note_missed(&mut self, page: PageId, now: Instant) {
+        for thread in &mut self.threads {
+            if let Thread::Fetching(wait) = thread
+                && wait.page == page
+                && wait.is_ahead
+                && !wait.is_missed
+            {
+                (wait.is_missed, wait.world_since) = (true, now);
+            }
+        }
     }
 
     /// What a thread does after the node has answered its fault.

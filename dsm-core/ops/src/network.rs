@@ -78,9 +78,11 @@ impl World {
             member.oracle.check_effect(message);
         }
         if is_believed {
-            let after = round_trip(member);
-            if after.is_some() && before != after {
-                member.oracle.check_measured(message);
+            if member.slack_us == 0
+                && let Some(after) = round_trip(member).filter(|after| before != Some(*after))
+                && let Some(trip) = member.oracle.round_trip_us(message, self.now)
+            {
+                check_measured(message, before, after, trip);
             }
             member.oracle.note_heard(message.from, message.from_incarnation);
         }
@@ -111,4 +113,16 @@ impl World {
         message.emit(&mut header);
         Some(Packet { header, page: packet.page })
     }
+}
+
+/// The smoothed round trip has become `after`: it must have moved towards that of the sending which was answered. `KARN`.
+fn check_measured(message: &Message, before: Option<u64>, after: u64, trip: u64) {
+    // A round trip of 0 counts as 1, and eighths are cut off.
+    let trip = trip.max(1);
+    let before = before.unwrap_or(trip);
+    let is_between = before.min(trip) <= after + 1 && after <= before.max(trip) + 1;
+    assert!(
+        is_between,
+        "KARN: {message:?} after {trip} us moved the round trip from {before} us to {after} us"
+    );
 }

@@ -7,6 +7,7 @@ use dsm_core::id::{Incarnation, NodeId, PageId};
 use dsm_core::membership::Liveness;
 use dsm_core::node::{Config, Node};
 use dsm_core::placement::Stripes;
+use dsm_core::time::Instant;
 use dsm_core::wire::{Body, Message};
 
 /// What is known of one node from the outside.
@@ -22,8 +23,8 @@ pub(crate) struct Oracle {
 #[derive(Clone, Debug)]
 pub(crate) struct Asked {
     pub(crate) number: u32,
-    /// Sendings to each peer.
-    sendings: BTreeMap<u16, u32>,
+    /// When, by the world's clock, each peer was asked with each stamp.
+    sendings: BTreeMap<(u16, u32), Instant>,
     /// The time to the next sending, of the last sending to each peer that was not heard from since.
     intervals: BTreeMap<u16, u64>,
     pub(crate) last_to: NodeId,
@@ -31,7 +32,7 @@ pub(crate) struct Asked {
 
 impl Oracle {
     /// A request left the node.
-    pub(crate) fn note_request(&mut self, message: &Message) {
+    pub(crate) fn note_request(&mut self, message: &Message, world_now: Instant) {
         let fresh = || Asked {
             number: message.request,
             sendings: BTreeMap::new(),
@@ -42,7 +43,7 @@ impl Oracle {
         if asked.number != message.request {
             *asked = fresh();
         }
-        *asked.sendings.entry(message.to.0).or_default() += 1;
+        asked.sendings.insert((message.to.0, message.stamp_us), world_now);
         asked.last_to = message.to;
     }
 
@@ -128,10 +129,12 @@ impl Oracle {
         assert_eq!(number, Some(message.request), "ONE_ANSWER: {message:?} had an effect");
     }
 
-    /// The round trip to a peer was measured by this answer: it must be clear by which sending. `KARN`.
-    pub(crate) fn check_measured(&self, message: &Message) {
-        let sendings = self.asked.get(&message.page.0).and_then(|asked| asked.sendings.get(&message.from.0));
-        assert_eq!(sendings, Some(&1), "KARN: {message:?} measured a round trip");
+    /// The time from the sending that this answers to now, by the world's clock; `None` when nothing was sent with its
+    /// stamp, which then was changed on the way.
+    pub(crate) fn round_trip_us(&self, message: &Message, world_now: Instant) -> Option<u64> {
+        let asked = self.asked.get(&message.page.0)?;
+        let sent_at = asked.sendings.get(&(message.from.0, message.stamp_us))?;
+        Some(world_now.since(*sent_at))
     }
 }
 

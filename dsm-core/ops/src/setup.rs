@@ -32,6 +32,8 @@ pub struct Setup {
     pub evict_ahead: u8,
     /// See [`Config::hidden_max`]; less than the slots.
     pub hidden: u8,
+    /// See [`Config::neighbours_max`].
+    pub neighbours: u8,
     /// Parts in which pages travel; 1 for whole pages.
     pub fragments: u8,
     /// Sendings to one copy before the next is asked.
@@ -72,6 +74,7 @@ impl Setup {
             tries: 1 + parts % 3,
             fragments: [1, 4, 32][usize::from(parts / 3) % 3],
             buries_early: parts / 9 % 2 == 0,
+            neighbours: [0, 1, 4][usize::from(parts / 18) % 3],
             ..Self::SMALL
         }
     }
@@ -90,6 +93,7 @@ impl Setup {
         evict_batch: 1,
         evict_ahead: 0,
         hidden: 0,
+        neighbours: 0,
         fragments: 1,
         tries: 2,
         is_rigid: false,
@@ -113,6 +117,7 @@ impl Setup {
             evict_batch: self.evict_batch.into(),
             evict_ahead: self.evict_ahead.into(),
             hidden_max: self.hidden.into(),
+            neighbours_max: self.neighbours.into(),
             fragments: self.fragments > 1,
             resend_us: RESEND_US,
             resend_us_min: RESEND_US,

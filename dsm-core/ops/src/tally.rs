@@ -4,7 +4,7 @@ use dsm_core::stats::NodeStats;
 
 /// What a run has come by: to see that it has come by everything.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[expect(missing_docs, reason = "each is the count of that name in `NodeStats`, over all nodes")]
+#[expect(missing_docs, reason = "each is a count of `NodeStats`, over all nodes")]
 pub struct Tally {
     pub faults: u64,
     pub fetched_pages: u64,
@@ -12,6 +12,10 @@ pub struct Tally {
     pub resends: u64,
     pub failovers: u64,
     pub fragments: u64,
+    pub tile_prefetch: u64,
+    pub neighbour_prefetch: u64,
+    pub prefetch_used: u64,
+    pub prefetch_wasted: u64,
     pub dead_peers: u64,
     pub late_answers: u64,
     pub refused_messages: u64,
@@ -29,6 +33,10 @@ impl Tally {
             resends: self.resends + other.resends,
             failovers: self.failovers + other.failovers,
             fragments: self.fragments + other.fragments,
+            tile_prefetch: self.tile_prefetch + other.tile_prefetch,
+            neighbour_prefetch: self.neighbour_prefetch + other.neighbour_prefetch,
+            prefetch_used: self.prefetch_used + other.prefetch_used,
+            prefetch_wasted: self.prefetch_wasted + other.prefetch_wasted,
             dead_peers: self.dead_peers + other.dead_peers,
             late_answers: self.late_answers + other.late_answers,
             refused_messages: self.refused_messages + other.refused_messages,
@@ -38,7 +46,7 @@ impl Tally {
 
     /// Each count with its name.
     #[must_use]
-    pub const fn named(&self) -> [(&'static str, u64); 10] {
+    pub const fn named(&self) -> [(&'static str, u64); 14] {
         [
             ("faults", self.faults),
             ("fetched pages", self.fetched_pages),
@@ -46,6 +54,10 @@ impl Tally {
             ("resends", self.resends),
             ("failovers", self.failovers),
             ("fragments", self.fragments),
+            ("pages asked for before a tile", self.tile_prefetch),
+            ("pages asked for along with another", self.neighbour_prefetch),
+            ("of these, used", self.prefetch_used),
+            ("of these, wasted", self.prefetch_wasted),
             ("dead peers", self.dead_peers),
             ("late answers", self.late_answers),
             ("refused messages", self.refused_messages),
@@ -60,6 +72,10 @@ impl Tally {
         self.resends += stats.resends;
         self.failovers += stats.failovers;
         self.fragments += stats.fragments;
+        self.tile_prefetch += stats.tile_prefetch.asked;
+        self.neighbour_prefetch += stats.neighbour_prefetch.asked;
+        self.prefetch_used += stats.prefetch().used;
+        self.prefetch_wasted += stats.prefetch().wasted;
         self.dead_peers += stats.dead_peers;
         self.late_answers += stats.late_answers;
         self.refused_messages += stats.refused_messages;

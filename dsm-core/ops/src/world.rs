@@ -1,8 +1,9 @@
 //! A cluster, its network, and the operations on them.
 
 use dsm_core::id::{Incarnation, NodeId, PageId};
-use dsm_core::node::Fault;
+use dsm_core::node::{Fault, Node};
 use dsm_core::page_state::PageState;
+use dsm_core::prefetch::Foretold;
 use dsm_core::time::Instant;
 use dsm_core::wire::{Body, HEADER_BYTES, Message};
 
@@ -157,6 +158,19 @@ impl World {
         ops
     }
 
+    /// Pages that idle threads could ask for ahead: what [`enabled`](Self::enabled) leaves out.
+    #[must_use]
+    pub fn asking_ahead(&self) -> Vec<Op> {
+        let ahead = |op: Op| match op {
+            Op::Read { node, thread, page } => {
+                let number = (AHEAD..=u8::MAX).find(|number| number % self.setup.pages == page)?;
+                Some(Op::Read { node, thread, page: number })
+            }
+            _ => None,
+        };
+        self.enabled().into_iter().filter_map(ahead).collect()
+    }
+
     /// The timers that could go off, with whether something is still on its way that would make them go off in vain.
     #[must_use]
     pub fn timers(&self) -> Vec<(Op, bool)> {
@@ -296,9 +310,36 @@ impl World {
             Fault::Failed(_) => self.failed += 1,
             Fault::Fetch | Fault::Show | Fault::Wait | Fault::Full => {}
         }
-        let wait = again.unwrap_or(Wait { page, since: now, world_since: world_now });
+        if answer == Fault::Wait {
+            member.note_missed(page, world_now);
+        }
+        let wait = again.unwrap_or(Wait {
+            page,
+            since: now,
+            world_since: world_now,
+            is_ahead: false,
+            is_missed: false,
+        });
         member.settle(thread, answer, wait);
         self.carry_out(node, sent, woken);
+        if answer == Fault::Fetch {
+            self.bring_neighbours(node, thread, page);
+        }
+    }
+
+    /// A thread has missed a page and asks for some that follow it. It looks after them as after all that left through its
+    /// port, and waits for none.
+    fn bring_neighbours(&mut self, node: usize, thread: usize, page: PageId) {
+        let now = self.members[node].time(self.now);
+        let (count, sent, woken) =
+            self.members[node].input(None, |node| node.handle_neighbour_wish(now, page));
+        self.carry_out(node, sent, woken);
+        for next in (1..=count).map(|step| PageId(page.0 + step)) {
+            let ask =
+                |node: &mut Node<'_>| node.handle_prefetch(now, next, port(thread), Foretold::ByNeighbour);
+            let (_, sent, woken) = self.members[node].input(None, ask);
+            self.carry_out(node, sent, woken);
+        }
     }
 
     /// A thread asks for a page before it touches it, and waits for it, if it may.
@@ -309,9 +350,15 @@ impl World {
         self.carry_out(node, sent, woken);
         let member = &mut self.members[node];
         let (is_asked, sent, woken) =
-            member.input(None, |node| node.handle_prefetch(now, page, port(thread)));
+            member.input(None, |node| node.handle_prefetch(now, page, port(thread), Foretold::ByTile));
         if is_asked {
-            member.threads[thread] = Thread::Fetching(Wait { page, since: now, world_since: world_now });
+            member.threads[thread] = Thread::Fetching(Wait {
+                page,
+                since: now,
+                world_since: world_now,
+                is_ahead: true,
+                is_missed: false,
+            });
         }
         self.carry_out(node, sent, woken);
     }
@@ -320,7 +367,7 @@ impl World {
     pub(crate) fn carry_out(&mut self, node: usize, sent: Vec<Packet>, woken: Vec<usize>) {
         let (member, now) = (&mut self.members[node], self.now);
         for message in sent.iter().filter_map(Packet::message) {
-            member.oracle.note_request(&message);
+            member.oracle.note_request(&message, now);
         }
         if let Some(message) = sent.last().and_then(Packet::message) {
             let thread = member
@@ -333,6 +380,8 @@ impl World {
                 && let Some(next) = member.next_timer(thread)
                 && next.since(wait.world_since) + 1 < DEADLINE_US
                 && member.slack_us == 0
+                // What it has asked for besides has times of its own.
+                && self.setup.neighbours == 0
                 && !self.setup.is_rigid
             {
                 let left_us = DEADLINE_US.saturating_sub(now.since(wait.world_since));
@@ -341,23 +390,34 @@ impl World {
             }
         }
         self.under_way.extend(sent);
+        // Who asked ahead is done before somebody that is woken asks for the same page anew.
+        let done = self.done_fetching(node, |wait| wait.is_ahead);
+        self.look_again(node, &done);
         self.look_again(node, &woken);
-        // A thread that fetches goes on when its page is there, or has failed.
+        let done = self.done_fetching(node, |_| true);
+        self.look_again(node, &done);
+    }
+
+    /// Threads that have fetched a page which is there, or has failed.
+    fn done_fetching(&mut self, node: usize, which: impl Fn(&Wait) -> bool) -> Vec<usize> {
         let member = &mut self.members[node];
-        let fetching = member.waiting(|thread| matches!(thread, Thread::Fetching(_)));
-        let done = fetching.into_iter().filter(|thread| {
+        let fetching = member.waiting(|thread| matches!(thread, Thread::Fetching(wait) if which(wait)));
+        let is_done = |thread: &usize| {
             let page = member.threads[*thread].wait().map_or(PageId(u32::MAX), |wait| wait.page);
             let state = member.with_node(|node| node.table().state(page));
             state != Some(PageState::Requested) && !member.is_filling(page)
-        });
-        let done: Vec<usize> = done.collect();
-        self.look_again(node, &done);
+        };
+        fetching.into_iter().filter(is_done).collect()
     }
 
     /// These threads ask again. Waking one may have changed what the next finds.
     fn look_again(&mut self, node: usize, threads: &[usize]) {
         for thread in threads {
             if let Some(wait) = self.members[node].threads[*thread].wait() {
+                if wait.is_ahead {
+                    self.members[node].threads[*thread] = Thread::Running;
+                    continue;
+                }
                 self.fault(node, *thread, wait.page, Some(wait));
             }
         }

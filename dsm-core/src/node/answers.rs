@@ -108,7 +108,7 @@ impl<R: Replacement> Node<'_, R> {
             self.fill_twice(page);
             return Err(MessageError::Late(page));
         };
-        self.measure(now, index, from);
+        self.measure(now, index, &message);
         match body {
             Body::Grant { .. } => self.take_bytes(now, index, &message),
             Body::Refusal(why) => {
@@ -119,14 +119,20 @@ impl<R: Replacement> Node<'_, R> {
         }
     }
 
-    /// Measures the round trip, if there is no doubt which sending this is the answer to: Karn's rule.
-    fn measure(&mut self, now: Instant, index: usize, from: NodeId) {
+    /// Measures the round trip of the sending that this is the answer to, once for each.
+    ///
+    /// The stamp tells which sending that was, so nothing is ambiguous when a request was sent several times; Karn's rule, to
+    /// measure only what was sent once, would measure nothing where some fragment of every page gets lost. A stamp of before
+    /// the first sending is none of this request's.
+    fn measure(&mut self, now: Instant, index: usize, message: &Message) {
         let request = self.requests.get_mut(index);
-        let is_certain = request.sendings == 1 || mutants::is_on(Mutant::MeasureResent);
-        if is_certain && !request.is_measured && request.holder == from {
-            request.is_measured = true;
-            let round_trip_us = now.since(request.sent_at);
-            self.membership.measured(from, round_trip_us);
+        let since_first_us = now.since(request.sent_at);
+        let round_trip_us = now.since_stamp(message.stamp_us);
+        let is_later = message.stamp_us.wrapping_sub(request.measured_stamp).cast_signed() > 0;
+        if round_trip_us <= since_first_us && (is_later || !request.is_measured) {
+            (request.is_measured, request.measured_stamp) = (true, message.stamp_us);
+            let is_wrong = mutants::is_on(Mutant::MeasureFromFirst);
+            self.membership.measured(message.from, if is_wrong { since_first_us } else { round_trip_us });
         }
     }
 
@@ -146,7 +152,8 @@ impl<R: Replacement> Node<'_, R> {
         if request.holder == from {
             request.has_advanced |= added != Added::Nothing;
             // It is on its way: what is missing may be asked for again a whole round trip from now.
-            request.resend_at = now.after(self.membership.timeout_us(from));
+            let wait_us = self.membership.timeout_us(from).min(self.share_us(now, index));
+            self.requests.get_mut(index).resend_at = now.after(wait_us);
         }
         if added == Added::Nothing {
             return Err(MessageError::Late(page));
@@ -168,8 +175,8 @@ impl<R: Replacement> Node<'_, R> {
         let page = self.requests.remove(index).page;
         if let (Effect::Map, Some(slot)) = (self.apply(page, PageEvent::Grant), self.table.slot(page)) {
             self.stats.fetched_pages += 1;
-            if !self.table.slots_mut()[slot.index()].prefetched {
-                self.prefetch.used();
+            if self.table.slots_mut()[slot.index()].prefetched.is_none() {
+                self.prefetch.fetched();
             }
             self.push(Pending::Done(Output::Map { page, slot, bytes }));
             if mutants::is_on(Mutant::EvictInUse) {

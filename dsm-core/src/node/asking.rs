@@ -161,7 +161,7 @@ impl<R: Replacement> Node<'_, R> {
 
     /// How long this sending may wait so that all others of the first round through the copies get as long before the
     /// deadline. A slow peer, or one whose round trip was taken wrong, must not keep the others from being asked.
-    fn share_us(&mut self, now: Instant, index: usize) -> u64 {
+    pub(super) fn share_us(&mut self, now: Instant, index: usize) -> u64 {
         let RequestEntry { sendings, deadline, .. } = *self.requests.get_mut(index);
         let round = u64::from(self.config.placement.replicas()) * u64::from(self.config.tries);
         match round.saturating_sub(u64::from(sendings)) {
@@ -188,6 +188,7 @@ impl<R: Replacement> Node<'_, R> {
             to_incarnation: Incarnation(0),
             page: request.page,
             request: request.number,
+            stamp_us: now.stamp(),
             body: Body::Request { offset, bytes },
         };
         let port = request.port;

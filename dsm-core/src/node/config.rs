@@ -31,6 +31,9 @@ pub struct Config {
     /// Pages that are hidden before they leave, at most; less than there are slots. 0: none. See
     /// [`Residents`](crate::replacement::Residents).
     pub hidden_max: u32,
+    /// Pages asked for along with one that was missed, at most, in `0..=`[`NEIGHBOURS_MAX`]: those that follow it. How many
+    /// they are follows what was used of them, and 0 is possible, for as long as none are.
+    pub neighbours_max: u32,
     /// Pages may come in fragments; the driver stores them as [`Output::Store`](super::Output::Store) says. Else a grant
     /// of less than a page is refused.
     pub fragments: bool,
@@ -62,6 +65,8 @@ pub enum ConfigError {
     PageBytes(u32),
     /// A batch outside `1..=`[`EVICT_BATCH_MAX`].
     EvictBatch(u32),
+    /// More neighbours than [`NEIGHBOURS_MAX`].
+    Neighbours(u32),
     /// A time of 0, or no try.
     ZeroTime,
     /// The least time to a resending is longer than the greatest.
@@ -87,6 +92,7 @@ impl Config {
             evict_batch: 1,
             evict_ahead: 0,
             hidden_max: 0,
+            neighbours_max: 0,
             fragments: false,
             resend_us: 10_000,
             resend_us_min: 1_000,
@@ -106,6 +112,9 @@ impl Config {
             }
             Self { evict_batch, .. } if !(1..=EVICT_BATCH_MAX).contains(&evict_batch) => {
                 Err(ConfigError::EvictBatch(evict_batch))
+            }
+            Self { neighbours_max, .. } if neighbours_max > NEIGHBOURS_MAX => {
+                Err(ConfigError::Neighbours(neighbours_max))
             }
             Self { resend_us: 0, .. }
             | Self { deadline_us: 0, .. }
@@ -134,6 +143,9 @@ impl fmt::Display for ConfigError {
             Self::Storage(error) => write!(f, "{error}"),
             Self::PageBytes(got) => write!(f, "a page of {got} bytes is no power of two"),
             Self::EvictBatch(got) => write!(f, "a batch of {got} victims is not in 1..={EVICT_BATCH_MAX}"),
+            Self::Neighbours(got) => {
+                write!(f, "{got} neighbours brought along with a page, and {NEIGHBOURS_MAX} can be")
+            }
             Self::ZeroTime => write!(f, "a time to resend, suspect, bury or give up of 0, or no try"),
             Self::ResendTimes { min_us, max_us } => {
                 write!(f, "the least time to a resending, {min_us} us, is above the greatest, {max_us} us")
@@ -143,6 +155,9 @@ impl fmt::Display for ConfigError {
 }
 
 impl core::error::Error for ConfigError {}
+
+/// Pages that can be asked for along with one that was missed.
+pub const NEIGHBOURS_MAX: u32 = 16;
 
 /// Victims that can be chosen at a time.
 pub const EVICT_BATCH_MAX: u32 = 32;

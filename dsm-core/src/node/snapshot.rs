@@ -8,7 +8,7 @@ use super::{Config, Node};
 use crate::id::PageId;
 use crate::membership::Membership;
 use crate::page_table::{Lists, PageTable};
-use crate::prefetch::Account;
+use crate::prefetch::Prefetch;
 use crate::replacement::{Policy, Replacement, Residents};
 use crate::request::Requests;
 use crate::stats::NodeStats;
@@ -28,7 +28,7 @@ pub struct Snapshot<R = Policy> {
     clock: SteadyClock,
     slot_waited_for: bool,
     next_number: u32,
-    prefetch: Account,
+    prefetch: Prefetch,
     stats: NodeStats,
 }
 
@@ -91,7 +91,8 @@ impl<R: Replacement> Node<'_, R> {
     /// Feeds a hash with all that decides what this node will do from `now` on: two nodes of the same configuration and
     /// policy that feed it alike behave alike.
     ///
-    /// Times go in as distances from now, requests without their numbers; what was counted does not, nor what only makes a
+    /// Times go in as distances from now, requests without their numbers; what was counted does not, nor how prefetch has
+    /// paid so far, nor what only makes a
     /// difference to a time whose bounds leave no choice. So a model that returns to where it was finds that it did. The
     /// order that a policy keeps outside the slots does not go in either; with one slot there is none.
     pub fn fingerprint(&self, now: Instant, hasher: &mut impl Hasher) {

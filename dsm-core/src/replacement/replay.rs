@@ -2,7 +2,7 @@
 
 use super::{Replacement, Residents};
 use crate::id::{PageId, SlotId};
-use crate::prefetch::Account;
+use crate::prefetch::{Foretold, Prefetch};
 use crate::storage::{NONE, SlotEntry};
 
 /// A cache of pages that takes no time and moves no bytes, to count the misses of a policy on a recorded trace.
@@ -14,7 +14,7 @@ pub struct Replay<'s, R> {
     slots: &'s mut [SlotEntry],
     used: u32,
     residents: Residents<R>,
-    prefetch: Account,
+    prefetch: Prefetch,
 }
 
 /// What a touch met.
@@ -42,8 +42,14 @@ impl<'s, R: Replacement> Replay<'s, R> {
             slots,
             used: 0,
             residents: Residents::new(policy, hidden_max),
-            prefetch: Account::new(),
+            prefetch: Prefetch::new(0),
         }
+    }
+
+    /// The same cache, which may bring up to so many pages along with one that is missed.
+    #[must_use]
+    pub fn with_neighbours(self, neighbours_max: u32) -> Self {
+        Self { prefetch: Prefetch::new(neighbours_max), ..self }
     }
 
     /// A reader touches `page`.
@@ -54,11 +60,12 @@ impl<'s, R: Replacement> Replay<'s, R> {
         match self.slot_of[page.index()] {
             NONE => {
                 self.fetch(page);
-                self.prefetch.used();
+                self.prefetch.fetched();
                 Touch::Miss
             }
             slot if self.slots[slot as usize].evictable => Touch::Hit,
             slot => {
+                self.judge(SlotId(slot), true);
                 self.residents.handle_shown(self.slots, SlotId(slot));
                 self.residents.handle_resident(self.slots, SlotId(slot));
                 self.slots[slot as usize].evictable = true;
@@ -73,9 +80,7 @@ impl<'s, R: Replacement> Replay<'s, R> {
         let slot = self.slot_of[page.index()];
         if slot != NONE && self.slots[slot as usize].evictable {
             self.residents.policy_mut().handle_reference(self.slots, SlotId(slot));
-            if core::mem::take(&mut self.slots[slot as usize].prefetched) {
-                self.prefetch.used();
-            }
+            self.judge(SlotId(slot), true);
         }
     }
 
@@ -92,10 +97,26 @@ impl<'s, R: Replacement> Replay<'s, R> {
         self.residents.policy_mut().handle_clock(now, frame_end);
     }
 
-    /// Brings `page` before anybody touches it. Tells whether it was brought: not if it is there already, nor if all
-    /// that is there is needed sooner, nor while too many pages were brought for nothing.
+    /// Brings `page` before a tile that is foretold to touch it. Tells whether it was brought: not if it is there already,
+    /// nor if all that is there is needed sooner, nor while too many pages were brought for nothing.
     pub fn prefetch(&mut self, page: PageId) -> bool {
-        if self.slot_of[page.index()] != NONE || !self.prefetch.allows() {
+        self.prefetch.allows_tiles() && self.bring(page, Foretold::ByTile)
+    }
+
+    /// Brings pages along with `page`, which was missed just now: those that follow it, as far as none of them is there,
+    /// and as many as experience says are worth it. Calls `brought` with each.
+    pub fn prefetch_neighbours(&mut self, page: PageId, mut brought: impl FnMut(PageId)) {
+        let run = self.prefetch.run_after_miss().min(u32::try_from(self.slots.len() / 2).unwrap_or(u32::MAX));
+        for next in (1..=run).map_while(|step| page.0.checked_add(step).map(PageId)) {
+            if self.slot_of.get(next.index()) != Some(&NONE) || !self.bring(next, Foretold::ByNeighbour) {
+                return;
+            }
+            brought(next);
+        }
+    }
+
+    fn bring(&mut self, page: PageId, foretold: Foretold) -> bool {
+        if self.slot_of[page.index()] != NONE {
             return false;
         }
         let is_full = self.used as usize == self.slots.len();
@@ -109,7 +130,8 @@ impl<'s, R: Replacement> Replay<'s, R> {
             None => self.fetch(page),
         }
         let slot = self.slot_of[page.index()];
-        self.slots[slot as usize].prefetched = true;
+        self.slots[slot as usize].prefetched = Some(foretold);
+        self.prefetch.asked(foretold);
         true
     }
 
@@ -140,10 +162,17 @@ impl<'s, R: Replacement> Replay<'s, R> {
         let entry = &mut self.slots[victim.index()];
         self.slot_of[entry.page as usize] = NONE;
         entry.evictable = false;
-        if core::mem::take(&mut entry.prefetched) {
-            self.prefetch.wasted();
-        }
+        self.judge(victim, false);
         victim
+    }
+
+    /// It is known of the page in `slot` whether it was used. That matters the first time, if it was brought ahead.
+    fn judge(&mut self, slot: SlotId, was_used: bool) {
+        match self.slots[slot.index()].prefetched.take() {
+            Some(foretold) if was_used => self.prefetch.used(foretold),
+            Some(foretold) => self.prefetch.wasted(foretold),
+            None => {}
+        }
     }
 
     /// Hides pages once the cache is full.
@@ -178,6 +207,7 @@ mod tests {
         Hint(u32),
         Forecast(u32, u32),
         Prefetch(u32),
+        Neighbours(u32),
         Clock(u32),
     }
 
@@ -187,7 +217,8 @@ mod tests {
             6 => page.clone().prop_map(Op::Touch),
             1 => page.clone().prop_map(Op::Hint),
             1 => (page.clone(), any::<u32>()).prop_map(|(page, when)| Op::Forecast(page, when)),
-            1 => page.prop_map(Op::Prefetch),
+            1 => page.clone().prop_map(Op::Prefetch),
+            1 => page.prop_map(Op::Neighbours),
             1 => any::<u32>().prop_map(Op::Clock),
         ]
     }
@@ -219,7 +250,7 @@ mod tests {
             let mut slot_of = [0; PAGES as usize];
             let mut entries: Vec<SlotEntry> = (0..slots).map(|_| SlotEntry::EMPTY).collect();
             let hidden = hidden.min(u32::try_from(slots).unwrap() - 1);
-            let mut cache = Replay::new(&mut slot_of, &mut entries, Policy::new(kind, 3), hidden);
+            let mut cache = Replay::new(&mut slot_of, &mut entries, Policy::new(kind, 3), hidden).with_neighbours(4);
             for op in ops {
                 match op {
                     Op::Touch(page) => {
@@ -232,6 +263,10 @@ mod tests {
                         if cache.prefetch(PageId(page)) {
                             prop_assert_ne!(cache.slot_of[page as usize], NONE);
                         }
+                    }
+                    Op::Neighbours(page) => {
+                        let _ = cache.touch(PageId(page));
+                        cache.prefetch_neighbours(PageId(page), |next| assert!((1..5).contains(&(next.0 - page))));
                     }
                     Op::Clock(now) => cache.clock(now, now.wrapping_add(50)),
                 }

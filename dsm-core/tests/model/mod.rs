@@ -14,6 +14,8 @@ pub(crate) struct Cluster {
     pub(crate) replicas: u8,
     pub(crate) fragments: u8,
     pub(crate) threads: u8,
+    /// Threads ask for pages before they touch them, too.
+    pub(crate) asks_ahead: bool,
     pub(crate) budget: Budget,
 }
 
@@ -77,6 +79,7 @@ impl Cluster {
         replicas: 2,
         fragments: 1,
         threads: 2,
+        asks_ahead: false,
         budget: Budget { losses: 1, crashes: 1, ..Budget::NONE },
     };
     /// With all that follows from coming back.
@@ -85,6 +88,8 @@ impl Cluster {
         budget: Budget { losses: 1, crashes: 1, restarts: 1, ..Budget::NONE },
         ..Self::TWO_THREADS
     };
+    /// Pages come before they are touched, too.
+    pub(crate) const AHEAD: Self = Self { asks_ahead: true, ..Self::TWO_THREADS };
     /// Pages in two parts.
     pub(crate) const FRAGMENTS: Self = Self { fragments: 2, threads: 1, ..Self::TWO_THREADS };
     /// Every page is lost with its home.
@@ -132,6 +137,9 @@ impl Model for Cluster {
         // The owners only own: with one copy each would read the other's page, and nothing new would come of it.
         let is_wanted = |op: &Op| !matches!(op, Op::Read { node: 1.., .. });
         actions.extend(state.world.enabled().into_iter().filter(is_wanted));
+        if self.asks_ahead {
+            actions.extend(state.world.asking_ahead().into_iter().filter(is_wanted));
+        }
         let is_early = |(_, is_early): &(Op, bool)| !is_early || early_timers > 0;
         actions.extend(state.world.timers().into_iter().filter(is_early).map(|(op, _)| op));
         for message in (0..state.world.message_count()).filter_map(|index| u8::try_from(index).ok()) {

@@ -137,9 +137,10 @@ impl Config {
         })
     }
 
-    /// Requests that a node can have under way: one for each of its threads.
+    /// Requests that a node can have under way: one for each of its threads, and twice as many as its threads ask for ahead,
+    /// since that may take half of them.
     pub(super) fn requests(&self) -> usize {
-        usize::from(self.threads.max(1))
+        usize::from(self.threads.max(1)) * (1 + 2 * self.node.neighbours_max as usize)
     }
 
     /// Bytes of a page that a message carries.

@@ -8,6 +8,7 @@ use dsm_core::home::{Answer, Home};
 use dsm_core::id::{Incarnation, NodeId, PageId, PortId};
 use dsm_core::node::{Fault, Node, Output, PageBytes};
 use dsm_core::page_state::PageState;
+use dsm_core::prefetch::Foretold;
 use dsm_core::replacement::Replacement;
 use dsm_core::stats::Histogram;
 use dsm_core::storage::Storage;
@@ -135,10 +136,35 @@ impl<'s, R: Replacement> Member<'s, R> {
         self.past.touches += 1;
         if self.mapping.is_seen(page) {
             self.read(page);
+            self.tell_of(page);
             self.think(io, index);
         } else {
             self.threads[usize::from(index)].doing = Doing::Trapped;
             io.work(self.shared.config.costs.trap_ns, Task::Fault { thread: index });
+        }
+    }
+
+    /// Prefetch lives of knowing what was used.
+    fn tell_of(&mut self, page: PageId) {
+        if self.shared.config.node.neighbours_max > 0
+            && let Some(node) = &mut self.node
+        {
+            node.handle_reference(page);
+        }
+    }
+
+    /// Asks for pages that follow `page`, which was missed, as far as there is room for them now. Room that has to be made
+    /// is for those of the next miss.
+    fn bring_neighbours(&mut self, io: &mut Io<'_>, page: PageId, port: PortId) {
+        let now = io.clock();
+        let Some(node) = &mut self.node else { return };
+        let count = node.handle_neighbour_wish(now, page);
+        let _ = self.drain(io, 0);
+        for next in (1..=count).map(|step| PageId(page.0 + step)) {
+            if let Some(node) = &mut self.node {
+                node.handle_prefetch(now, next, port, Foretold::ByNeighbour);
+            }
+            let _ = self.drain(io, 0);
         }
     }
 
@@ -180,7 +206,12 @@ impl<'s, R: Replacement> Member<'s, R> {
         let is_on_its_way = self.is_on_its_way(page);
         let thread = &mut self.threads[usize::from(index)];
         match answer {
-            Fault::Fetch | Fault::Show if is_on_its_way => thread.doing = Doing::Fetching,
+            Fault::Fetch | Fault::Show if is_on_its_way => {
+                thread.doing = Doing::Fetching;
+                if answer == Fault::Fetch {
+                    self.bring_neighbours(io, page, port);
+                }
+            }
             // It has failed already: nobody who holds it is alive.
             Fault::Fetch | Fault::Show => self.fault(io, index, false),
             Fault::Wait => thread.doing = Doing::WaitingForPage,

@@ -26,15 +26,24 @@ pub(crate) struct Scene {
     pub(crate) slots: u32,
     pub(crate) policy: PolicyKind,
     pub(crate) deadline_us: u64,
+    /// Pages that a missed one may bring along; then hints tell which are used.
+    pub(crate) neighbours_max: u32,
 }
 
 impl Scene {
-    pub(crate) const SMALL: Self =
-        Self { pages: 64, page_bytes: 16384, slots: 5, policy: PolicyKind::Random, deadline_us: 2_000_000 };
+    pub(crate) const SMALL: Self = Self {
+        pages: 64,
+        page_bytes: 16384,
+        slots: 5,
+        policy: PolicyKind::Random,
+        deadline_us: 2_000_000,
+        neighbours_max: 0,
+    };
 
     pub(crate) fn config(&self) -> Config {
         let placement = Stripes::new(self.pages, 2, ME, 2).unwrap();
-        Config { deadline_us: self.deadline_us, ..Config::new(ME, placement, self.page_bytes) }
+        let Self { deadline_us, neighbours_max, .. } = *self;
+        Config { deadline_us, neighbours_max, ..Config::new(ME, placement, self.page_bytes) }
     }
 
     pub(crate) fn region(&self, backend: Option<BackendKind>) -> Arc<Region> {
@@ -43,7 +52,11 @@ impl Scene {
         let setup = Setup {
             node: self.config(),
             policy,
-            reference: ReferenceSource::SoftFaults,
+            reference: if self.neighbours_max > 0 {
+                ReferenceSource::Hints
+            } else {
+                ReferenceSource::SoftFaults
+            },
             hidden_per_cent: 40,
             prefetch: false,
             seed: 1,

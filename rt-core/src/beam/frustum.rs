@@ -112,7 +112,7 @@ fn corners_of_cells<S: Simd>(s: S, n: Vec3, sign: f32) -> [[f32; LANES]; 4] {
 }
 
 /// Coordinates of the 64 cells, by axis.
-const CELLS: [[[f32; LANES]; 4]; 3] = {
+pub(super) const CELLS: [[[f32; LANES]; 4]; 3] = {
     let mut cells = [[[0.0; LANES]; 4]; 3];
     let mut cell = 0;
     while cell < 64 {

@@ -56,6 +56,8 @@ mod sphere_surface;
 mod spheres;
 mod surface;
 mod triangles;
+#[cfg(feature = "volumes")]
+pub(crate) mod volume;
 mod walk;
 mod winners;
 
@@ -67,7 +69,7 @@ use crate::grid_ray::GridRay;
 use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
 use crate::scale::Scale;
-use crate::shade;
+use crate::shade::{ALBEDO, BACKGROUND, SHADOW, byte};
 use crate::simd::{LANES, Lanes, Mask, Simd, Task};
 use crate::tile::{Depths, Tile, TileView};
 use crate::view::Damaged;
@@ -78,7 +80,7 @@ use points::{POINTS_MAX, Points};
 use projection::Projection;
 use sample_tests::Shadows;
 use sphere_samples::SphereRoom;
-use surface::{Lighting, surface};
+use surface::{Lighting, meet, shade};
 use walk::{Beam, walk};
 
 /// Draws a tile by beams, or tells that it has to be drawn by rays.
@@ -119,15 +121,15 @@ impl<M: SceneMemory, C: Count, K: Kinds> Task for Draw<'_, M, C, K> {
             return Some(fill_with_background(tile, bytes));
         }
         let lighting = Lighting { eye: view.eye, light: view.light, shadow_offset: view.shadow_offset };
-        let mut lit =
-            Lit { grey: [[shade::BACKGROUND; LANES]; BLOCKS], facing: [0; BLOCKS], points: Points::new() };
+        let mut lit = Lit::new();
         let mut depths = Depths::new();
         for block in 0..BLOCKS {
             let hit = pixels.hit[block];
             if hit != 0 {
-                let seen = surface(s, &pixels, block, &view.frame.camera, tile, &lighting).ok()?;
+                let met = meet(s, &pixels, block, &view.frame.camera, tile).ok()?;
+                let seen = shade(s, &met, s.splat(ALBEDO), &lighting);
                 s.store(s.select(hit, seen.t, s.splat(0.0)), depths.block(block));
-                lit.add(s, block, hit, &seen);
+                lit.add(s, block, hit, &seen, s.splat(SHADOW));
             }
         }
         let shadow = if view.frame.has_shadows() { lit.points.count as u64 } else { 0 };
@@ -154,7 +156,7 @@ fn enters<S: Simd, M: SceneMemory>(s: S, view: &TileView<'_, M>, frustum: &Frust
 
 /// A tile that shows nothing.
 fn fill_with_background(tile: Tile, bytes: &mut [u8]) -> TileCounts {
-    bytes.fill(shade::byte(shade::BACKGROUND));
+    bytes.fill(byte(BACKGROUND));
     TileCounts { primary: tile.pixels() as u64, ..TileCounts::default() }
 }
 
@@ -167,12 +169,17 @@ struct Lit {
 }
 
 impl Lit {
+    const fn new() -> Self {
+        Self { grey: [[BACKGROUND; LANES]; BLOCKS], facing: [0; BLOCKS], points: Points::new() }
+    }
+
+    /// Adds the pixels of a block that hit something; `dark` are their greys where no light falls.
     #[inline(always)]
-    fn add<S: Simd>(&mut self, s: S, block: usize, hit: Mask, seen: &surface::Surface<S::F>) {
+    fn add<S: Simd>(&mut self, s: S, block: usize, hit: Mask, seen: &surface::Surface<S::F>, dark: S::F) {
         let facing = seen.facing & hit;
         self.facing[block] = facing;
-        let grey = s.select(facing, seen.grey, s.splat(shade::SHADOW));
-        s.store(s.select(hit, grey, s.splat(shade::BACKGROUND)), &mut self.grey[block]);
+        let grey = s.select(facing, seen.grey, dark);
+        s.store(s.select(hit, grey, s.splat(BACKGROUND)), &mut self.grey[block]);
         self.points.push(s, facing, seen.point);
     }
 
@@ -184,28 +191,45 @@ impl Lit {
         view: &TileView<'_, M>,
         work: &mut C,
     ) -> Result<u64, Damaged> {
-        let shadowed = match self.points.projection(s, view.light) {
-            Some(projection) => by_beam::<S, M, C, K>(s, &self.points, &projection, view, work)?,
-            None => None,
-        };
-        let shadowed = match shadowed {
-            Some(shadowed) => shadowed,
-            None => by_rays::<S, M, C, K>(s, &self.points, view, work)?,
-        };
+        let shadowed = shadowed::<S, M, C, K>(s, &self.points, view, work)?;
+        Ok(self.darken(&shadowed, |_, _| SHADOW))
+    }
+
+    /// Gives the pixels in shadow their greys where no light falls, by block and lane, and counts them.
+    #[inline(always)]
+    fn darken(&mut self, shadowed: &[bool; POINTS_MAX], dark: impl Fn(usize, usize) -> f32) -> u64 {
         let (mut index, mut count) = (0, 0);
-        for (grey, &facing) in self.grey.iter_mut().zip(&self.facing) {
+        for (block, (grey, &facing)) in self.grey.iter_mut().zip(&self.facing).enumerate() {
             let mut left = facing;
             while left != 0 {
                 let lane = left.trailing_zeros() as usize;
                 left &= left - 1;
                 if shadowed[index] {
-                    grey[lane] = shade::SHADOW;
+                    grey[lane] = dark(block, lane);
                     count += 1;
                 }
                 index += 1;
             }
         }
-        Ok(count)
+        count
+    }
+}
+
+/// Whether each point lies in the shadow of triangles or spheres.
+#[inline(always)]
+fn shadowed<S: Simd, M: SceneMemory, C: Count, K: Kinds>(
+    s: S,
+    points: &Points,
+    view: &TileView<'_, M>,
+    work: &mut C,
+) -> Result<[bool; POINTS_MAX], Damaged> {
+    let by_beam = match points.projection(s, view.light) {
+        Some(projection) => by_beam::<S, M, C, K>(s, points, &projection, view, work)?,
+        None => None,
+    };
+    match by_beam {
+        Some(shadowed) => Ok(shadowed),
+        None => by_rays::<S, M, C, K>(s, points, view, work),
     }
 }
 
@@ -246,7 +270,7 @@ fn by_rays<S: Simd, M: SceneMemory, C: Count, K: Kinds>(
     Ok(shadowed)
 }
 
-/// Turns greys into bytes, row by row, as [`shade::byte`] does.
+/// Turns greys into bytes, row by row, as [`byte`] does.
 #[inline(always)]
 fn write<S: Simd>(s: S, grey: &ByBlock<f32>, tile: Tile, bytes: &mut [u8]) {
     let mut found = [[0; LANES]; BLOCKS];

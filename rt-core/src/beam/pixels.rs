@@ -66,11 +66,7 @@ impl<'a, M: SceneMemory, K: Kinds> Pixels<'a, M, K> {
     pub(super) fn new(view: &'a TileView<'_, M>, tile: Tile, depth_epsilon: f32) -> Self {
         let mut present = [Mask::MAX; BLOCKS];
         if tile.pixels() < BLOCKS * LANES {
-            for (block, present) in present.iter_mut().enumerate() {
-                let (x, y) = first_pixel(block);
-                let (columns, rows) = ((0, tile.width as i32 - 1), (0, tile.height as i32 - 1));
-                *present = lanes_in(columns, rows, (x as i32, y as i32));
-            }
+            present.iter_mut().enumerate().for_each(|(block, present)| *present = present_in(tile, block));
         }
         let waiting = present.map(|present| if present == 0 { f32::INFINITY } else { 0.0 });
         Self {
@@ -395,7 +391,7 @@ impl<S: Simd, M: SceneMemory, K: Kinds> Targets<S> for Pixels<'_, M, K> {
 
 /// The blocks that reach into a range of columns and a range of rows.
 #[inline(always)]
-fn blocks_within<S: Simd>(s: S, [left, right]: [S::F; 2], [top, bottom]: [S::F; 2]) -> u64 {
+pub(super) fn blocks_within<S: Simd>(s: S, [left, right]: [S::F; 2], [top, bottom]: [S::F; 2]) -> u64 {
     // Eight columns, then eight rows.
     let (low, high) = (s.select(0xff, left, top), s.select(0xff, right, bottom));
     let first = s.load(&FIRST_OF_BLOCKS);
@@ -414,6 +410,13 @@ pub(super) const COLUMNS: [f32; LANES] =
     [0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, 1.0, 2.0, 3.0];
 pub(super) const ROWS: [f32; LANES] =
     [0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0];
+
+/// The pixels of a block that a tile has.
+#[inline(always)]
+pub(super) const fn present_in(tile: Tile, block: usize) -> Mask {
+    let (x, y) = first_pixel(block);
+    lanes_in((0, tile.width as i32 - 1), (0, tile.height as i32 - 1), (x as i32, y as i32))
+}
 
 /// The pixels of a block that lie in a range of columns and a range of rows.
 #[inline(always)]

@@ -91,6 +91,34 @@ impl<'a> Samples<'a> {
         self.far[group] = s.least(s.load(&self.w[group]));
     }
 
+    /// The same for samples of a group, open or not.
+    #[cfg(feature = "volumes")]
+    #[inline(always)]
+    pub(super) fn close_all<S: Simd>(&mut self, s: S, group: usize, lanes: Mask) {
+        let w = s.select(lanes, s.splat(f32::INFINITY), s.load(&self.w[group]));
+        s.store(w, &mut self.w[group]);
+        self.far[group] = s.least(w);
+        self.open[group] &= !lanes;
+        self.is_stale = true;
+        let mut left = lanes;
+        while left != 0 {
+            self.shadowed[group * LANES + left.trailing_zeros() as usize] = true;
+            left &= left - 1;
+        }
+    }
+
+    /// The same for every sample that something else was found to shadow.
+    #[cfg(feature = "volumes")]
+    #[inline(always)]
+    pub(super) fn close_those<S: Simd>(&mut self, s: S, shadowed: &[bool; POINTS_MAX]) {
+        for (group, shadowed) in shadowed.as_chunks::<LANES>().0.iter().enumerate() {
+            let lanes = (0..LANES).fold(0, |lanes, lane| lanes | Mask::from(shadowed[lane]) << lane);
+            if lanes != 0 {
+                self.close_all(s, group, lanes);
+            }
+        }
+    }
+
     #[inline(always)]
     pub(super) fn is_open(&self, (group, lane): (usize, usize)) -> bool {
         self.open[group] >> lane & 1 != 0

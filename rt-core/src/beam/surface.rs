@@ -11,10 +11,36 @@ use crate::blocks::first_pixel;
 use crate::camera::Camera;
 use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
-use crate::shade::{ALBEDO, AMBIENT, DIFFUSE};
+use crate::shade::{AMBIENT, DIFFUSE};
 use crate::simd::{Mask, Simd, each};
 use crate::tile::Tile;
 use crate::view::Damaged;
+
+/// Where the rays of sixteen pixels of one block meet a surface.
+#[derive(Clone, Copy)]
+pub(super) struct Met<F> {
+    pub(super) direction: [F; 3],
+    /// Depth along the camera's forward axis, in grid units.
+    pub(super) t: F,
+    /// Unit normal, to either side.
+    pub(super) normal: [F; 3],
+}
+
+#[cfg(feature = "volumes")]
+impl<F: Copy> Met<F> {
+    /// Rays that have met nothing so far.
+    #[inline(always)]
+    pub(super) fn nothing<S: Simd<F = F>>(s: S, direction: [F; 3]) -> Self {
+        Self { direction, t: s.splat(0.0), normal: [s.splat(0.0); 3] }
+    }
+
+    /// The same, where some lanes meet other things.
+    #[inline(always)]
+    pub(super) fn with<S: Simd<F = F>>(&self, s: S, lanes: Mask, other: &Self) -> Self {
+        let normal = each!(3: [0, 1, 2], axis => s.select(lanes, other.normal[axis], self.normal[axis]));
+        Self { direction: self.direction, t: s.select(lanes, other.t, self.t), normal }
+    }
+}
 
 /// Sixteen pixels of one block.
 pub(super) struct Surface<F> {
@@ -43,40 +69,39 @@ struct Axes([usize; 3]);
 /// The corners of sixteen triangles, by corner and axis.
 type Corners<F> = [[F; 3]; 3];
 
-/// Finds what the pixels of a block that hit something see.
+/// Finds where the rays of the pixels of a block that hit something meet it.
 ///
 /// # Errors
 /// [`Damaged`], as [`Pixels::corners`].
 #[inline(always)]
-pub(super) fn surface<S: Simd, M: SceneMemory, K: Kinds>(
+pub(super) fn meet<S: Simd, M: SceneMemory, K: Kinds>(
     s: S,
     pixels: &Pixels<'_, M, K>,
     block: usize,
     camera: &Camera,
     tile: Tile,
-    lighting: &Lighting,
-) -> Result<Surface<S::F>, Damaged> {
+) -> Result<Met<S::F>, Damaged> {
     let direction = directions(s, camera, tile, block);
     let spheres = pixels.showing_spheres(block);
     let triangles = pixels.hit[block] & !spheres;
     let (mut t, mut normal) = (s.splat(0.0), [s.splat(0.0); 3]);
     if K::TRIANGLES && (!K::SPHERES || triangles != 0) {
         let corners = pixels.corners(s, block, triangles)?;
-        t = depth(s, lighting.eye, direction, &corners, triangles);
+        t = depth(s, pixels.eye, direction, &corners, triangles);
         normal = normal_of(s, &corners, direction);
     }
     if K::SPHERES && (!K::TRIANGLES || spheres != 0) {
         let found = pixels.spheres(s, block, spheres)?;
-        let (t_sphere, normal_sphere) = sphere_surface(s, lighting.eye, direction, found);
+        let (t_sphere, normal_sphere) = sphere_surface(s, pixels.eye, direction, found);
         t = s.select(spheres, t_sphere, t);
         normal = each!(3: [0, 1, 2], axis => s.select(spheres, normal_sphere[axis], normal[axis]));
     }
-    Ok(shade(s, t, normal, direction, lighting))
+    Ok(Met { direction, t, normal })
 }
 
 /// [`Camera::direction`] of sixteen pixels.
 #[inline(always)]
-fn directions<S: Simd>(s: S, camera: &Camera, tile: Tile, block: usize) -> [S::F; 3] {
+pub(super) fn directions<S: Simd>(s: S, camera: &Camera, tile: Tile, block: usize) -> [S::F; 3] {
     let (x, y) = first_pixel(block);
     // Small whole numbers, so sums are exact.
     let column = s.add(s.load(&COLUMNS), s.splat((tile.x as usize + x) as f32));
@@ -172,15 +197,10 @@ pub(super) fn unit<S: Simd>(s: S, [x, y, z]: [S::D; 3]) -> [S::F; 3] {
     each!(3: [x, y, z], component => s.narrow(s.mul_f64(component, per_length)))
 }
 
-/// [`LitPoint`](crate::shade::LitPoint) of sixteen points.
+/// [`LitPoint`](crate::shade::LitPoint) of sixteen points on surfaces of these greys.
 #[inline(always)]
-fn shade<S: Simd>(
-    s: S,
-    t: S::F,
-    normal: [S::F; 3],
-    direction: [S::F; 3],
-    lighting: &Lighting,
-) -> Surface<S::F> {
+pub(super) fn shade<S: Simd>(s: S, met: &Met<S::F>, albedo: S::F, lighting: &Lighting) -> Surface<S::F> {
+    let Met { direction, t, normal } = *met;
     let zero = s.splat(0.0);
     let turned = s.lt(zero, s.dot(normal, direction));
     let normal = each!(3: normal, component => s.select(turned, s.mul(component, s.splat(-1.0)), component));
@@ -191,6 +211,6 @@ fn shade<S: Simd>(
     let facing = s.dot(normal, to_light);
     let distance = s.sqrt(s.dot(to_light, to_light));
     let share = s.mul(facing, s.div(s.splat(1.0), distance));
-    let grey = s.mul(s.splat(ALBEDO), s.add(s.splat(AMBIENT), s.mul(s.splat(DIFFUSE), share)));
+    let grey = s.mul(albedo, s.add(s.splat(AMBIENT), s.mul(s.splat(DIFFUSE), share)));
     Surface { t, point, grey, facing: s.lt(zero, facing) }
 }

@@ -3,7 +3,7 @@
 
 use core::arch::x86_64::*;
 
-use super::{Kind, LANES, Mask, Part, Simd, Task, low_bits};
+use super::{Kind, LANES, Mask, Part, Simd, Task, last_of_two, low_bits};
 
 /// The proof that the processor has AVX2.
 #[derive(Clone, Copy)]
@@ -124,6 +124,7 @@ impl Simd for Avx2 {
     type F = [__m256; 2];
     type I = [__m256i; 2];
     type D = [__m256d; 4];
+    type M = [__m256d; 4];
 
     #[inline(always)]
     fn apart<T: Part<Self>>(self, part: T) -> T::Output {
@@ -238,6 +239,31 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
+    fn gather_pairs<const N: usize>(self, table: &[f32; N], index: Self::I) -> [Self::F; 2] {
+        let low_bits = with!(_mm256_set1_epi32(const { low_bits(N) }));
+        let last = with!(_mm256_set1_epi32(const { last_of_two(N) }));
+        let halves = each!(2: index, index => {
+            // So both entries lie in the table.
+            let index = with!(_mm256_and_si256(index, low_bits));
+            let index = with!(_mm256_min_epi32(index, last));
+            let (low, high) = (with!(_mm256_castsi256_si128(index)), with!(_mm256_extracti128_si256::<1>(index)));
+            let pairs = each!(2: [low, high], quarter => {
+                let pairs = with!(_mm256_i32gather_pd::<4>(table.as_ptr().cast(), quarter));
+                with!(_mm256_castpd_ps(pairs))
+            });
+            let firsts = with!(_mm256_shuffle_ps::<0b10_00_10_00>(pairs[0], pairs[1]));
+            let seconds = with!(_mm256_shuffle_ps::<0b11_01_11_01>(pairs[0], pairs[1]));
+            // Quarters of registers came in turn from one and the other.
+            each!(2: [firsts, seconds], lanes => {
+                let lanes = with!(_mm256_castps_pd(lanes));
+                let lanes = with!(_mm256_permute4x64_pd::<0b11_01_10_00>(lanes));
+                with!(_mm256_castpd_ps(lanes))
+            })
+        });
+        [[halves[0][0], halves[1][0]], [halves[0][1], halves[1][1]]]
+    }
+
+    #[inline(always)]
     fn store_packed(self, mask: Mask, value: Self::F, to: &mut [f32; LANES]) {
         let low = packed(mask, value[0]);
         let high = packed(mask >> 8, value[1]);
@@ -333,15 +359,130 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    fn is_zero_f64(self, a: Self::D) -> Mask {
-        let zero = with!(_mm256_setzero_pd());
-        let mut mask = 0;
-        for (at, quarter) in a.into_iter().enumerate() {
-            let equal = with!(_mm256_cmp_pd::<_CMP_EQ_OQ>(quarter, zero));
-            #[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "four bits")]
-            let bits = with!(_mm256_movemask_pd(equal)) as Mask;
-            mask |= bits << (4 * at);
+    fn eq_f64(self, a: Self::D, b: Self::D) -> Self::M {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_cmp_pd::<_CMP_EQ_OQ>(a[quarter], b[quarter])))
+    }
+
+    #[inline(always)]
+    fn splat_f64(self, value: f64) -> Self::D {
+        [with!(_mm256_set1_pd(value)); 4]
+    }
+
+    #[inline(always)]
+    fn load_f64(self, from: &[f64; LANES]) -> Self::D {
+        let (quarters, _) = from.as_chunks::<4>();
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_loadu_pd(quarters[quarter].as_ptr())))
+    }
+
+    #[inline(always)]
+    fn store_f64(self, value: Self::D, to: &mut [f64; LANES]) {
+        let (quarters, _) = to.as_chunks_mut::<4>();
+        for (to, quarter) in quarters.iter_mut().zip(value) {
+            with!(_mm256_storeu_pd(to.as_mut_ptr(), quarter));
         }
-        mask
+    }
+
+    #[inline(always)]
+    fn min_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_min_pd(a[quarter], b[quarter])))
+    }
+
+    #[inline(always)]
+    fn max_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_max_pd(a[quarter], b[quarter])))
+    }
+
+    #[inline(always)]
+    fn floor_f64(self, a: Self::D) -> Self::D {
+        each!(4: a, quarter => with!(_mm256_floor_pd(quarter)))
+    }
+
+    #[inline(always)]
+    fn lt_f64(self, a: Self::D, b: Self::D) -> Self::M {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_cmp_pd::<_CMP_LT_OQ>(a[quarter], b[quarter])))
+    }
+
+    #[inline(always)]
+    fn le_f64(self, a: Self::D, b: Self::D) -> Self::M {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_cmp_pd::<_CMP_LE_OQ>(a[quarter], b[quarter])))
+    }
+
+    #[inline(always)]
+    fn select_f64(self, mask: Self::M, yes: Self::D, no: Self::D) -> Self::D {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_blendv_pd(no[quarter], yes[quarter], mask[quarter])))
+    }
+
+    #[inline(always)]
+    fn add_where_f64(self, mask: Self::M, a: Self::D, b: Self::D) -> Self::D {
+        self.select_f64(mask, self.add_f64(a, b), a)
+    }
+
+    #[inline(always)]
+    fn wide_mask(self, mask: Mask) -> Self::M {
+        let own = with!(_mm256_setr_epi64x(1, 2, 4, 8));
+        each!(4: [0, 4, 8, 12], shift => {
+            let all = with!(_mm256_set1_epi64x(i64::from(mask >> shift & 0xf)));
+            let met = with!(_mm256_and_si256(all, own));
+            let met = with!(_mm256_cmpeq_epi64(met, own));
+            with!(_mm256_castsi256_pd(met))
+        })
+    }
+
+    #[inline(always)]
+    #[expect(clippy::cast_sign_loss, clippy::cast_possible_truncation, reason = "four bits each")]
+    fn narrow_mask(self, mask: Self::M) -> Mask {
+        let [a, b, c, d] = each!(4: mask, quarter => with!(_mm256_movemask_pd(quarter)) as Mask);
+        a | b << 4 | c << 8 | d << 12
+    }
+
+    #[inline(always)]
+    fn both(self, a: Self::M, b: Self::M) -> Self::M {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_and_pd(a[quarter], b[quarter])))
+    }
+
+    #[inline(always)]
+    fn except(self, a: Self::M, b: Self::M) -> Self::M {
+        each!(4: [0, 1, 2, 3], quarter => with!(_mm256_andnot_pd(b[quarter], a[quarter])))
+    }
+
+    #[inline(always)]
+    fn splat_int(self, value: i32) -> Self::I {
+        [with!(_mm256_set1_epi32(value)); 2]
+    }
+
+    #[inline(always)]
+    fn select_int(self, mask: Mask, yes: Self::I, no: Self::I) -> Self::I {
+        let bits = each!(2: [0, 8], shift => {
+            let bits = widened(mask, shift);
+            with!(_mm256_castps_si256(bits))
+        });
+        both!(_mm256_blendv_epi8(no, yes, bits))
+    }
+
+    #[inline(always)]
+    fn add_where_int(self, mask: Mask, a: Self::I, b: Self::I) -> Self::I {
+        self.select_int(mask, both!(_mm256_add_epi32(a, b)), a)
+    }
+
+    #[inline(always)]
+    fn bits_of(self, table: &[u64; 8], index: Self::I) -> Mask {
+        let (halves, _) = table.as_chunks::<4>();
+        let words = each!(2: [0, 1], half => with!(_mm256_loadu_si256(halves[half].as_ptr().cast())));
+        let all = with!(_mm256_set1_epi32(31));
+        signs(each!(2: index, index => {
+            let place = with!(_mm256_srli_epi32::<5>(index));
+            let low = with!(_mm256_permutevar8x32_epi32(words[0], place));
+            let high = with!(_mm256_permutevar8x32_epi32(words[1], place));
+            // Bit 8 of the index, brought to the sign.
+            let is_high = with!(_mm256_slli_epi32::<23>(index));
+            let is_high = with!(_mm256_castsi256_ps(is_high));
+            let (low, high) = (with!(_mm256_castsi256_ps(low)), with!(_mm256_castsi256_ps(high)));
+            let word = with!(_mm256_blendv_ps(low, high, is_high));
+            let word = with!(_mm256_castps_si256(word));
+            // The bit wanted, brought to the sign.
+            let up = with!(_mm256_andnot_si256(index, all));
+            let word = with!(_mm256_sllv_epi32(word, up));
+            with!(_mm256_castsi256_ps(word))
+        }))
     }
 }

@@ -3,7 +3,7 @@
 
 use core::arch::x86_64::*;
 
-use super::{Kind, LANES, Mask, Part, Simd, Task, first_lanes, low_bits};
+use super::{Kind, LANES, Mask, Part, Simd, Task, first_lanes, last_of_two, low_bits};
 
 /// The proof that the processor has AVX-512 F, DQ, BW and VL.
 #[derive(Clone, Copy)]
@@ -41,6 +41,7 @@ impl Simd for Avx512 {
     type F = __m512;
     type I = __m512i;
     type D = (__m512d, __m512d);
+    type M = (__mmask8, __mmask8);
 
     #[inline(always)]
     fn apart<T: Part<Self>>(self, part: T) -> T::Output {
@@ -136,6 +137,26 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
+    fn gather_pairs<const N: usize>(self, table: &[f32; N], index: Self::I) -> [Self::F; 2] {
+        // So both entries lie in the table.
+        let low_bits = with!(_mm512_set1_epi32(const { low_bits(N) }));
+        let last = with!(_mm512_set1_epi32(const { last_of_two(N) }));
+        let index = with!(_mm512_and_si512(index, low_bits));
+        let index = with!(_mm512_min_epi32(index, last));
+        let halves = [with!(_mm512_castsi512_si256(index)), with!(_mm512_extracti32x8_epi32::<1>(index))];
+        let [low, high] = each!(2: halves, half => {
+            let pairs = with!(_mm512_i32gather_pd::<4>(half, table.as_ptr().cast()));
+            with!(_mm512_castpd_ps(pairs))
+        });
+        each!(2: [0, 1], first => {
+            let order = with!(_mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30));
+            let first = with!(_mm512_set1_epi32(first));
+            let order = with!(_mm512_add_epi32(order, first));
+            with!(_mm512_permutex2var_ps(low, order, high))
+        })
+    }
+
+    #[inline(always)]
     fn pick_of_two(self, [low, high]: [Self::F; 2], index: Self::I) -> Self::F {
         with!(_mm512_permutex2var_ps(low, index, high))
     }
@@ -212,10 +233,116 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    fn is_zero_f64(self, a: Self::D) -> Mask {
-        let zero = with!(_mm512_setzero_pd());
-        let low = with!(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(a.0, zero));
-        let high = with!(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(a.1, zero));
-        Mask::from(low) | Mask::from(high) << 8
+    fn eq_f64(self, a: Self::D, b: Self::D) -> Self::M {
+        let first = with!(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(a.0, b.0));
+        let second = with!(_mm512_cmp_pd_mask::<_CMP_EQ_OQ>(a.1, b.1));
+        (first, second)
+    }
+
+    #[inline(always)]
+    fn splat_f64(self, value: f64) -> Self::D {
+        let value = with!(_mm512_set1_pd(value));
+        (value, value)
+    }
+
+    #[inline(always)]
+    fn load_f64(self, from: &[f64; LANES]) -> Self::D {
+        let (halves, _) = from.as_chunks::<8>();
+        (with!(_mm512_loadu_pd(halves[0].as_ptr())), with!(_mm512_loadu_pd(halves[1].as_ptr())))
+    }
+
+    #[inline(always)]
+    fn store_f64(self, value: Self::D, to: &mut [f64; LANES]) {
+        let (halves, _) = to.as_chunks_mut::<8>();
+        with!(_mm512_storeu_pd(halves[0].as_mut_ptr(), value.0));
+        with!(_mm512_storeu_pd(halves[1].as_mut_ptr(), value.1));
+    }
+
+    #[inline(always)]
+    fn min_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        (with!(_mm512_min_pd(a.0, b.0)), with!(_mm512_min_pd(a.1, b.1)))
+    }
+
+    #[inline(always)]
+    fn max_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        (with!(_mm512_max_pd(a.0, b.0)), with!(_mm512_max_pd(a.1, b.1)))
+    }
+
+    #[inline(always)]
+    fn floor_f64(self, a: Self::D) -> Self::D {
+        const DOWN: i32 = _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC;
+        (with!(_mm512_roundscale_pd::<DOWN>(a.0)), with!(_mm512_roundscale_pd::<DOWN>(a.1)))
+    }
+
+    #[inline(always)]
+    fn lt_f64(self, a: Self::D, b: Self::D) -> Self::M {
+        let first = with!(_mm512_cmp_pd_mask::<_CMP_LT_OQ>(a.0, b.0));
+        let second = with!(_mm512_cmp_pd_mask::<_CMP_LT_OQ>(a.1, b.1));
+        (first, second)
+    }
+
+    #[inline(always)]
+    fn le_f64(self, a: Self::D, b: Self::D) -> Self::M {
+        let first = with!(_mm512_cmp_pd_mask::<_CMP_LE_OQ>(a.0, b.0));
+        let second = with!(_mm512_cmp_pd_mask::<_CMP_LE_OQ>(a.1, b.1));
+        (first, second)
+    }
+
+    #[inline(always)]
+    fn select_f64(self, mask: Self::M, yes: Self::D, no: Self::D) -> Self::D {
+        (with!(_mm512_mask_blend_pd(mask.0, no.0, yes.0)), with!(_mm512_mask_blend_pd(mask.1, no.1, yes.1)))
+    }
+
+    #[inline(always)]
+    fn add_where_f64(self, mask: Self::M, a: Self::D, b: Self::D) -> Self::D {
+        (with!(_mm512_mask_add_pd(a.0, mask.0, a.0, b.0)), with!(_mm512_mask_add_pd(a.1, mask.1, a.1, b.1)))
+    }
+
+    #[inline(always)]
+    fn wide_mask(self, mask: Mask) -> Self::M {
+        let [first, second] = mask.to_le_bytes();
+        (first, second)
+    }
+
+    #[inline(always)]
+    fn narrow_mask(self, (first, second): Self::M) -> Mask {
+        Mask::from_le_bytes([first, second])
+    }
+
+    #[inline(always)]
+    fn both(self, a: Self::M, b: Self::M) -> Self::M {
+        (a.0 & b.0, a.1 & b.1)
+    }
+
+    #[inline(always)]
+    fn except(self, a: Self::M, b: Self::M) -> Self::M {
+        (a.0 & !b.0, a.1 & !b.1)
+    }
+
+    #[inline(always)]
+    fn splat_int(self, value: i32) -> Self::I {
+        with!(_mm512_set1_epi32(value))
+    }
+
+    #[inline(always)]
+    fn select_int(self, mask: Mask, yes: Self::I, no: Self::I) -> Self::I {
+        with!(_mm512_mask_blend_epi32(mask, no, yes))
+    }
+
+    #[inline(always)]
+    fn add_where_int(self, mask: Mask, a: Self::I, b: Self::I) -> Self::I {
+        with!(_mm512_mask_add_epi32(a, mask, a, b))
+    }
+
+    #[inline(always)]
+    fn bits_of(self, table: &[u64; 8], index: Self::I) -> Mask {
+        let table = with!(_mm512_loadu_epi64(table.as_ptr().cast()));
+        let place = with!(_mm512_srli_epi32::<5>(index));
+        let word = with!(_mm512_permutexvar_epi32(place, table));
+        let ones = with!(_mm512_set1_epi32(31));
+        let bit = with!(_mm512_and_si512(index, ones));
+        let word = with!(_mm512_srlv_epi32(word, bit));
+        let one = with!(_mm512_set1_epi32(1));
+        with!(_mm512_test_epi32_mask(word, one))
     }
 }

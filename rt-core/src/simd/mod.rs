@@ -101,10 +101,16 @@ const fn low_bits(length: usize) -> i32 {
     bits
 }
 
+/// The number of the last entry of such a table that has a next one.
+const fn last_of_two(length: usize) -> i32 {
+    low_bits(length) - 1
+}
+
 /// Operations on sixteen lanes. The value is the proof that the processor has them.
 ///
 /// `min`, `max` and comparisons treat NaN as the x86 instructions do: `min` and `max` give the second operand,
 /// comparisons are false.
+#[cfg_attr(not(feature = "volumes"), allow(dead_code, reason = "some operations are for volumes alone"))]
 pub(crate) trait Simd: Copy {
     /// Sixteen `f32`.
     type F: Copy;
@@ -112,6 +118,8 @@ pub(crate) trait Simd: Copy {
     type I: Copy;
     /// Sixteen `f64`.
     type D: Copy;
+    /// A mask of sixteen `f64`, in whichever form they are compared and selected.
+    type M: Copy;
 
     /// Runs a part of a task as a function of its own. Large bodies of code that are used together leave each other too
     /// few registers; this keeps hot loops apart.
@@ -140,6 +148,8 @@ pub(crate) trait Simd: Copy {
     fn pick_of_two(self, table: [Self::F; 2], index: Self::I) -> Self::F;
     /// For each lane, the entry of a table that the low bits of the index name; its length is a power of two.
     fn gather<const N: usize>(self, table: &[f32; N], index: Self::I) -> Self::F;
+    /// The same, and the entries that follow them; for an index of the last entry, anything.
+    fn gather_pairs<const N: usize>(self, table: &[f32; N], index: Self::I) -> [Self::F; 2];
     /// Moves the lanes of the mask together to the front; what is behind them is anything.
     fn store_packed(self, mask: Mask, value: Self::F, to: &mut [f32; LANES]);
 
@@ -160,8 +170,32 @@ pub(crate) trait Simd: Copy {
     fn mul_f64(self, a: Self::D, b: Self::D) -> Self::D;
     fn div_f64(self, a: Self::D, b: Self::D) -> Self::D;
     fn sqrt_f64(self, a: Self::D) -> Self::D;
-    /// Lanes that are 0, of either sign.
-    fn is_zero_f64(self, a: Self::D) -> Mask;
+    fn splat_f64(self, value: f64) -> Self::D;
+    fn load_f64(self, from: &[f64; LANES]) -> Self::D;
+    fn store_f64(self, value: Self::D, to: &mut [f64; LANES]);
+    fn min_f64(self, a: Self::D, b: Self::D) -> Self::D;
+    fn max_f64(self, a: Self::D, b: Self::D) -> Self::D;
+    /// Rounds to a whole number, downwards.
+    fn floor_f64(self, a: Self::D) -> Self::D;
+    fn eq_f64(self, a: Self::D, b: Self::D) -> Self::M;
+    fn lt_f64(self, a: Self::D, b: Self::D) -> Self::M;
+    fn le_f64(self, a: Self::D, b: Self::D) -> Self::M;
+    fn select_f64(self, mask: Self::M, yes: Self::D, no: Self::D) -> Self::D;
+    /// The sum where the mask is set, else `a`.
+    fn add_where_f64(self, mask: Self::M, a: Self::D, b: Self::D) -> Self::D;
+    fn wide_mask(self, mask: Mask) -> Self::M;
+    fn narrow_mask(self, mask: Self::M) -> Mask;
+    /// Where both masks are set.
+    fn both(self, a: Self::M, b: Self::M) -> Self::M;
+    /// Where the first is set and the second is not.
+    fn except(self, a: Self::M, b: Self::M) -> Self::M;
+
+    fn splat_int(self, value: i32) -> Self::I;
+    fn select_int(self, mask: Mask, yes: Self::I, no: Self::I) -> Self::I;
+    /// The sum where the mask is set, else `a`.
+    fn add_where_int(self, mask: Mask, a: Self::I, b: Self::I) -> Self::I;
+    /// The lanes whose bit is set: that of 512 which the low nine bits of the index name.
+    fn bits_of(self, table: &[u64; 8], index: Self::I) -> Mask;
 
     /// [`pick_of_two`](Self::pick_of_two) from memory.
     #[inline(always)]
@@ -179,6 +213,19 @@ pub(crate) trait Simd: Copy {
     fn array(self, value: Self::F) -> [f32; LANES] {
         let mut lanes = [0.0; LANES];
         self.store(value, &mut lanes);
+        lanes
+    }
+
+    /// Lanes that are 0, of either sign.
+    #[inline(always)]
+    fn is_zero_f64(self, a: Self::D) -> Mask {
+        self.narrow_mask(self.eq_f64(a, self.splat_f64(0.0)))
+    }
+
+    #[inline(always)]
+    fn array_f64(self, value: Self::D) -> [f64; LANES] {
+        let mut lanes = [0.0; LANES];
+        self.store_f64(value, &mut lanes);
         lanes
     }
 

@@ -7,7 +7,7 @@
 
 use glam::{BVec4A, Vec4};
 
-use super::{LANES, Mask, Part, Simd, low_bits};
+use super::{LANES, Mask, Part, Simd, last_of_two, low_bits};
 
 /// Plain arrays.
 #[derive(Clone, Copy)]
@@ -36,6 +36,7 @@ impl Simd for Portable {
     type F = [f32; LANES];
     type I = [i32; LANES];
     type D = [f64; LANES];
+    type M = Mask;
 
     #[inline(always)]
     fn apart<T: Part<Self>>(self, part: T) -> T::Output {
@@ -130,6 +131,12 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
+    fn gather_pairs<const N: usize>(self, table: &[f32; N], index: Self::I) -> [Self::F; 2] {
+        let index = index.map(|index| (index & const { low_bits(N) }).min(const { last_of_two(N) }) as usize);
+        [index.map(|index| table[index]), index.map(|index| table[index + 1])]
+    }
+
+    #[inline(always)]
     fn pick_of_two(self, table: [Self::F; 2], index: Self::I) -> Self::F {
         let table = table.as_flattened();
         index.map(|index| table[(index & 31) as usize])
@@ -183,33 +190,126 @@ impl Simd for Portable {
         a.map(|a| a as f32)
     }
 
-    #[inline(always)]
+    // Functions of their own from here on: there is much code of sixteen lanes of 64 bits, and calling it takes little
+    // more time than doing it.
+    #[inline(never)]
     fn add_f64(self, a: Self::D, b: Self::D) -> Self::D {
         map(a, b, |a, b| a + b)
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn sub_f64(self, a: Self::D, b: Self::D) -> Self::D {
         map(a, b, |a, b| a - b)
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn mul_f64(self, a: Self::D, b: Self::D) -> Self::D {
         map(a, b, |a, b| a * b)
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn div_f64(self, a: Self::D, b: Self::D) -> Self::D {
         map(a, b, |a, b| a / b)
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn sqrt_f64(self, a: Self::D) -> Self::D {
         a.map(libm::sqrt)
     }
 
+    #[inline(never)]
+    fn eq_f64(self, a: Self::D, b: Self::D) -> Mask {
+        (0..LANES).fold(0, |mask, lane| mask | Mask::from(a[lane] == b[lane]) << lane)
+    }
+
     #[inline(always)]
-    fn is_zero_f64(self, a: Self::D) -> Mask {
-        (0..LANES).fold(0, |mask, lane| mask | Mask::from(a[lane] == 0.0) << lane)
+    fn splat_f64(self, value: f64) -> Self::D {
+        [value; LANES]
+    }
+
+    #[inline(always)]
+    fn load_f64(self, from: &[f64; LANES]) -> Self::D {
+        *from
+    }
+
+    #[inline(always)]
+    fn store_f64(self, value: Self::D, to: &mut [f64; LANES]) {
+        *to = value;
+    }
+
+    #[inline(never)]
+    fn min_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        map(a, b, |a, b| if a < b { a } else { b })
+    }
+
+    #[inline(never)]
+    fn max_f64(self, a: Self::D, b: Self::D) -> Self::D {
+        map(a, b, |a, b| if a > b { a } else { b })
+    }
+
+    #[inline(never)]
+    fn floor_f64(self, a: Self::D) -> Self::D {
+        a.map(libm::floor)
+    }
+
+    #[inline(never)]
+    fn lt_f64(self, a: Self::D, b: Self::D) -> Mask {
+        (0..LANES).fold(0, |mask, lane| mask | Mask::from(a[lane] < b[lane]) << lane)
+    }
+
+    #[inline(never)]
+    fn le_f64(self, a: Self::D, b: Self::D) -> Mask {
+        (0..LANES).fold(0, |mask, lane| mask | Mask::from(a[lane] <= b[lane]) << lane)
+    }
+
+    #[inline(never)]
+    fn select_f64(self, mask: Mask, yes: Self::D, no: Self::D) -> Self::D {
+        core::array::from_fn(|lane| if mask >> lane & 1 != 0 { yes[lane] } else { no[lane] })
+    }
+
+    #[inline(never)]
+    fn add_where_f64(self, mask: Mask, a: Self::D, b: Self::D) -> Self::D {
+        self.select_f64(mask, self.add_f64(a, b), a)
+    }
+
+    #[inline(always)]
+    fn splat_int(self, value: i32) -> Self::I {
+        [value; LANES]
+    }
+
+    #[inline(never)]
+    fn select_int(self, mask: Mask, yes: Self::I, no: Self::I) -> Self::I {
+        core::array::from_fn(|lane| if mask >> lane & 1 != 0 { yes[lane] } else { no[lane] })
+    }
+
+    #[inline(never)]
+    fn add_where_int(self, mask: Mask, a: Self::I, b: Self::I) -> Self::I {
+        self.select_int(mask, map(a, b, i32::wrapping_add), a)
+    }
+
+    #[inline(never)]
+    fn bits_of(self, table: &[u64; 8], index: Self::I) -> Mask {
+        let is_set = |index: i32| table[(index >> 6 & 7) as usize] >> (index & 63) & 1 != 0;
+        (0..LANES).fold(0, |mask, lane| mask | Mask::from(is_set(index[lane])) << lane)
+    }
+
+    #[inline(always)]
+    fn wide_mask(self, mask: Mask) -> Mask {
+        mask
+    }
+
+    #[inline(always)]
+    fn narrow_mask(self, mask: Mask) -> Mask {
+        mask
+    }
+
+    #[inline(always)]
+    fn both(self, a: Mask, b: Mask) -> Mask {
+        a & b
+    }
+
+    #[inline(always)]
+    fn except(self, a: Mask, b: Mask) -> Mask {
+        a & !b
     }
 }

@@ -44,6 +44,9 @@ impl Task for EveryOperation {
         floats(s.load_le(words));
         floats(s.lookup(&[self.a, self.b], s.bytes(&self.bytes)));
         floats(s.gather(&self.a, s.bytes(&self.bytes)));
+        for value in s.gather_pairs(&self.a, s.bytes(&self.bytes)) {
+            floats(value);
+        }
         let mut packed = [0.0; LANES];
         s.store_packed(self.mask, a, &mut packed);
         packed[self.mask.count_ones() as usize..].fill(0.0);
@@ -58,14 +61,44 @@ impl Task for EveryOperation {
         ] {
             floats(s.narrow(value));
         }
+        for value in [
+            s.min_f64(wide_a, wide_b),
+            s.max_f64(wide_a, wide_b),
+            s.floor_f64(wide_a),
+            s.select_f64(s.wide_mask(self.mask), wide_a, wide_b),
+            s.add_where_f64(s.wide_mask(self.mask), wide_a, s.splat_f64(0.1)),
+            s.load_f64(&s.array_f64(wide_b)),
+        ] {
+            floats(s.narrow(value));
+        }
         let small = s.to_float(s.bytes(&self.bytes));
         floats(small);
         let integers = s.to_int(s.mul(small, s.splat(0.1)));
-        for value in [integers, s.shift_right::<3>(integers)] {
+        let nine = s.to_int(s.mul(small, s.splat(2.004)));
+        for value in [
+            integers,
+            s.shift_right::<3>(integers),
+            s.select_int(self.mask, integers, s.splat_int(-7)),
+            s.add_where_int(self.mask, integers, s.splat_int(-7)),
+            nine,
+        ] {
             let lanes = s.int_array(value);
             found.extend(lanes.map(|lane| u64::from(lane.cast_unsigned())));
         }
-        let masks = [s.lt(a, b), s.le(a, b), s.is_zero_f64(wide_a)];
+        let table = core::array::from_fn(|i| {
+            u64::from(self.a[2 * i].to_bits()) | u64::from(self.a[2 * i + 1].to_bits()) << 32
+        });
+        let masks = [
+            s.lt(a, b),
+            s.le(a, b),
+            s.is_zero_f64(wide_a),
+            s.narrow_mask(s.eq_f64(wide_a, wide_b)),
+            s.narrow_mask(s.lt_f64(wide_a, wide_b)),
+            s.narrow_mask(s.le_f64(wide_a, wide_b)),
+            s.narrow_mask(s.both(s.wide_mask(self.mask), s.lt_f64(wide_a, wide_b))),
+            s.narrow_mask(s.except(s.wide_mask(self.mask), s.lt_f64(wide_a, wide_b))),
+            s.bits_of(&table, nine),
+        ];
         found.extend(masks.map(u64::from));
         found.push(u64::from(s.least(s.abs(s.select(s.le(a, a), a, s.splat(1.0)))).to_bits()));
         found

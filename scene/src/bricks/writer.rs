@@ -77,7 +77,9 @@ impl<W: Read + Write + Seek> Bricks<'_, W> {
         }
         self.write_at(segments.ranges.offset, &groups)?;
         drop(groups);
-        self.pad_to_end()?;
+        for segment in [segments.table, segments.ranges, segments.bricks] {
+            self.pad(&segment)?;
+        }
         self.header.segments.table.checksum = self.checksum(&segments.table)?;
         self.header.segments.ranges.checksum = self.checksum(&segments.ranges)?;
         self.header.segments.bricks.checksum = self.checksum(&segments.bricks)?;
@@ -92,11 +94,11 @@ impl<W: Read + Write + Seek> Bricks<'_, W> {
         self.out.write_all(bytes)
     }
 
-    /// Makes the image as long as it says; what was skipped reads as zeros.
-    fn pad_to_end(&mut self) -> io::Result<()> {
-        let bricks = self.header.segments.bricks;
-        let rest = self.header.image_bytes - bricks.offset - bricks.bytes;
-        self.write_at(bricks.offset + bricks.bytes, &vec![0; usize::try_from(rest).unwrap_or(0)])
+    /// Fills the last page of a segment with zeros, whatever stood there.
+    fn pad(&mut self, segment: &Segment) -> io::Result<()> {
+        let end = segment.offset + segment.bytes;
+        let rest = end.next_multiple_of(self.header.page_bytes.into()) - end;
+        self.write_at(end, &vec![0; usize::try_from(rest).unwrap_or(0)])
     }
 
     fn checksum(&mut self, segment: &Segment) -> io::Result<u64> {

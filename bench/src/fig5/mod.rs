@@ -1,0 +1,219 @@
+//! The paper's Figure 5: a session on a volume larger than a node's memory.
+//!
+//! # The map
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`system`] | how a node comes to its data: all of it, by pages, by objects |
+//! | [`sessions`] | the runs of one system, and what they give |
+
+mod sessions;
+mod system;
+
+use std::fs::File;
+use std::path::{self, PathBuf};
+
+use anyhow::{Context, Result};
+use memsavvy::report::RunReport;
+use memsavvy::run;
+use memsavvy::session::{Path, Session, Sweep, Way};
+use scene::write_volume;
+
+use crate::experiment::{Effort, Experiment};
+use crate::findings::{Aim, Findings};
+use crate::machine;
+use crate::peers::folder::Folder;
+use crate::plot::{Axis, Chart, Line, Plot};
+use crate::quiet;
+use crate::scaling::Images;
+use crate::table::{Cell, Table};
+use crate::volumes::{self, Subject};
+use sessions::{Part, Sessions};
+use system::System;
+
+pub(crate) const EXPERIMENT: Experiment = Experiment {
+    name: "fig5",
+    shows: "a session on a volume with 16 % memory a node: replicated, paged, object-based",
+    run,
+};
+
+/// How much is rendered.
+#[derive(Clone, Copy, Debug)]
+struct Amount {
+    /// Samples along an axis of the volume.
+    samples: u64,
+    frames: u32,
+    /// Width and height of the pictures.
+    size: u32,
+    rounds: usize,
+}
+
+const FULL: Amount = Amount { samples: 512, frames: 100, size: 512, rounds: 3 };
+const QUICK: Amount = Amount { samples: 48, frames: 4, size: 48, rounds: 1 };
+
+const NODES: u16 = 4;
+const STORES: u16 = 2;
+
+/// The paper's: 81 MB of 512 MB.
+const MEMORY: f64 = 0.16;
+
+/// Two degrees a frame.
+const CIRCLE: u32 = 180;
+
+/// The whole object fills the picture.
+const RADIUS: f64 = 1.0;
+
+/// The isovalue moves from here to there while the whole object is in view.
+const ISOVALUES: Sweep = Sweep { from: -0.3, to: 0.0 };
+
+/// Paged, in frames a second of replicated: over the session (the paper: 0.82), and in its second half.
+const PAGED_MIN: f64 = 0.95;
+const PAGED_LATE_MIN: f64 = 0.99;
+
+/// Paged, in frames a second of object-based (the paper: 2.5).
+const OBJECTS_MIN: f64 = 2.5;
+
+fn run(effort: Effort) -> Result<Findings> {
+    let amount = effort.pick(FULL, QUICK);
+    let folder = Folder::create("fig5")?;
+    effort.say("preparing the volume");
+    let image = prepare(amount, &folder)?;
+    let session = session(amount)?;
+    let mut images = Images::default();
+    let rounds =
+        quiet::rounds(effort, "fig5", amount.rounds, |_| round(&image, &session, amount, &mut images))?;
+    let of = |(index, system): (usize, System)| {
+        let runs = rounds.rounds.iter().map(|runs: &Vec<RunReport>| runs[index].clone()).collect();
+        Sessions { system, runs }
+    };
+    let all: Vec<Sessions> = System::ALL.into_iter().enumerate().map(of).collect();
+    let mut table = table(amount, &all);
+    table.note(rounds.note());
+    let plot = Some(Plot { charts: vec![chart(amount, &all)] });
+    Ok(Findings { tables: vec![table], aims: aims(&all), plot })
+}
+
+/// Writes the image of the volume, once for all runs.
+fn prepare(amount: Amount, folder: &Folder) -> Result<PathBuf> {
+    let path = folder.path("volume.msv");
+    let file = File::options().read(true).write(true).create_new(true).open(&path);
+    let mut file = file.with_context(|| format!("cannot write {}", path.display()))?;
+    let mut source = Subject::gyroid(amount.samples).open()?;
+    write_volume(&mut *source, None, None, volumes::PAGE_BYTES, &mut file, &|_| {})?;
+    Ok(path)
+}
+
+/// First half: the whole object, its isovalue moving. Second half: close up.
+fn session(amount: Amount) -> Result<Session> {
+    let Amount { frames, .. } = amount;
+    let path = Path {
+        way: Way::Volume,
+        frames,
+        circle: Some(CIRCLE),
+        radius: RADIUS,
+        isovalues: Some(ISOVALUES),
+        ..Path::default()
+    };
+    path.session()
+}
+
+/// One session by each system; each starts with nothing of the volume in its caches.
+fn round(
+    image: &path::Path,
+    session: &Session,
+    amount: Amount,
+    images: &mut Images,
+) -> Result<Vec<RunReport>> {
+    let run = |system: System| {
+        let run = run::run(&system.options(image, session, amount.size), |_| Ok(()))?;
+        images.expect_same(&run).with_context(|| system.name())?;
+        Ok(run)
+    };
+    System::ALL.into_iter().map(run).collect()
+}
+
+fn table(amount: Amount, all: &[Sessions]) -> Table {
+    let Amount { samples, frames, size, rounds } = amount;
+    let title = format!(
+        "a session of {frames} frames of {size}x{size} on {samples}^3 samples of f32: {NODES} nodes with {:.0} % memory \
+         each, {STORES} stores, from a cold start; {rounds} rounds",
+        100.0 * MEMORY
+    );
+    let heads = [
+        "system",
+        "fps",
+        "first half",
+        "second half",
+        "first frame ms",
+        "of replicated",
+        "second half of it",
+        "misses",
+        "MB fetched",
+        "node's peak MB",
+    ];
+    let mut table = Table::new("fig5", title, &heads);
+    let replicated = &all[0];
+    for sessions in all {
+        table.push(vec![
+            Cell::text(sessions.system.name()),
+            Cell::Spread(sessions.fps(Part::Whole), 2),
+            Cell::Spread(sessions.fps(Part::First), 2),
+            Cell::Spread(sessions.fps(Part::Second), 2),
+            Cell::Spread(sessions.first_frame_ms(), 0),
+            Cell::Spread(sessions.ratio_to(replicated, Part::Whole), 3),
+            Cell::Spread(sessions.ratio_to(replicated, Part::Second), 3),
+            Cell::Number(sessions.fetched_pages(), 0),
+            Cell::Number(sessions.fetched_bytes() / 1e6, 1),
+            Cell::Number(sessions.peak_bytes() / 1e6, 1),
+        ]);
+    }
+    table.note(format!(
+        "first half: the whole object in view while its isovalue goes from {} to {}; second half: close up",
+        ISOVALUES.from, ISOVALUES.to
+    ));
+    table.note(format!(
+        "{NODES} nodes of one thread and the stores share {} cores: trust the ratios, which are of one round each",
+        machine::cores()
+    ));
+    table.note("misses: pages fetched in the whole session by all nodes; the stores hold all of the volume, and draw nothing");
+    table.note("objects: no paging hardware; every record that a ray reads is looked up in a table, and held while it is read");
+    table
+}
+
+fn aims(all: &[Sessions]) -> Vec<Aim> {
+    let [replicated, paged @ .., objects] = all else { return Vec::new() };
+    let of_paged = |paged: &Sessions| {
+        let name = paged.system.name();
+        let ratio = |to, part| paged.ratio_to(to, part).median;
+        [
+            Aim::at_least(
+                format!("{name}: frames a second, of replicated"),
+                ratio(replicated, Part::Whole),
+                PAGED_MIN,
+            ),
+            Aim::at_least(
+                format!("{name}: the same in the second half"),
+                ratio(replicated, Part::Second),
+                PAGED_LATE_MIN,
+            ),
+            Aim::at_least(
+                format!("{name}: frames a second, of objects"),
+                ratio(objects, Part::Whole),
+                OBJECTS_MIN,
+            ),
+        ]
+    };
+    paged.iter().flat_map(of_paged).collect()
+}
+
+/// Frame rate over time.
+fn chart(amount: Amount, all: &[Sessions]) -> Chart {
+    let line =
+        |sessions: &Sessions| Line { name: sessions.system.name().to_owned(), points: sessions.rates() };
+    Chart {
+        title: format!("{NODES} nodes with {:.0} % of {}^3 samples each", 100.0 * MEMORY, amount.samples),
+        x: Axis { label: "frame", is_logarithmic: false },
+        y: Axis { label: "frames a second", is_logarithmic: false },
+        lines: all.iter().map(line).collect(),
+    }
+}
