@@ -30,6 +30,20 @@ fn what_stands_still_travels_once() {
 }
 
 #[test]
+fn what_stands_still_travels_again_only_when_it_changes_hands() {
+    let folder = Folder::new("gathering-hands");
+    let file = folder.file("still.jsonl");
+    run_well(&["session", "still", "--frames", "8", "--radius", "0.75", "-o", &file, "--quiet"]);
+    let flags = ["knot:20000", "--nodes", "3", "--threads", "2", "--size", "250x190", "--session", &file];
+    let report = render(&folder, &[&flags[..], &["--balance", "steal-near", "--displays", "2"]].concat());
+    for frame in &report.frames[1..] {
+        assert_eq!(frame.image_hash, report.frames[0].image_hash, "SAME_IMAGE");
+        // Each is dealt to the node that drew it last: whoever else draws it cannot know what the display has.
+        assert_eq!(frame.changed_tiles, u64::from(frame.moved_tiles));
+    }
+}
+
+#[test]
 fn any_number_of_displays_puts_the_same_picture_together() {
     let folder = Folder::new("gathering-displays");
     let view = ["knot:20000", "--nodes", "2", "--size", "200x150", "--frames", "3", "--radius", "0.75"];
