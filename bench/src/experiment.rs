@@ -3,7 +3,7 @@
 use anyhow::Result;
 
 use crate::findings::Findings;
-use crate::{embree, left_out, paging_core, replacement, scaling, sim, table1};
+use crate::{embree, left_out, paging_core, replacement, scaling, sim, table1, triangle_tests};
 
 /// An experiment: its name on the command line, what it shows, how it is run.
 #[derive(Debug)]
@@ -33,6 +33,7 @@ pub(crate) const ALL: &[Experiment] = &[
     replacement::EXPERIMENT,
     embree::EXPERIMENT,
     left_out::EXPERIMENT,
+    triangle_tests::EXPERIMENT,
 ];
 
 impl Effort {

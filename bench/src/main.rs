@@ -13,6 +13,7 @@
 //! | [`embree`] | our kernels against Embree 3 and 4 |
 //! | [`peers`] | other programs that draw what we draw, and our kernels beside them |
 //! | [`left_out`] | what a scene does not need |
+//! | [`triangle_tests`] | error against run time of the triangle tests |
 //! | [`sim`] | the simulator: events a second |
 //! | [`findings`], [`table`], [`plot`], [`spread`] | what an experiment gives back, and how it is shown |
 //! | [`quiet`] | telling quiet rounds from those in which other programs wanted the machine |
@@ -45,6 +46,7 @@ mod space;
 mod spread;
 mod table;
 mod table1;
+mod triangle_tests;
 
 use std::process::ExitCode;
 

@@ -26,7 +26,9 @@ fn names() -> Vec<String> {
 #[test]
 fn every_experiment_runs_and_writes_what_it_found() {
     let names = names();
-    for expected in ["table1", "core", "sim", "scaling", "replacement", "embree", "left-out"] {
+    for expected in
+        ["table1", "core", "sim", "scaling", "replacement", "embree", "left-out", "triangle-tests"]
+    {
         assert!(names.iter().any(|name| name == expected), "{names:?}");
     }
     for name in names {

@@ -120,7 +120,9 @@ fn measure_rays(
         .with_isosurfaces(&surfaces, options.solver)?;
     let (mut whole, mut primary) = (Vec::new(), Vec::new());
     let mut work = WorkCounts::default();
-    let (counts, picture) = draw(scene, &frame, kernel, &mut work);
+    // What counts and what notes pages are one instance of the kernels, besides the one that is timed.
+    let noting = SceneView::new(Noting::new(scene))?;
+    let (counts, picture) = draw(&noting, &frame, kernel, &mut work);
     for _ in 0..options.reps_of_rays {
         let started = Instant::now();
         draw(scene, &frame, kernel, &mut ());
@@ -133,7 +135,7 @@ fn measure_rays(
     print!("{}, ", kernel);
     print_rays(radius, &counts, &work, best_and_median(&mut whole), best_and_median(&mut primary));
     if scene.header().volume.is_some() {
-        print_pages(scene, &frame, kernel);
+        print_pages(scene, &noting.memory().touched.borrow(), &frame);
     }
     if let Some(path) = &options.out {
         write_png(&picture, options.size, path)?;
@@ -186,11 +188,20 @@ struct Noting<'a> {
     touched: RefCell<HashSet<u64>>,
 }
 
+impl<'a> Noting<'a> {
+    fn new(scene: &SceneView<Flat<'a>>) -> Self {
+        let page_bytes = u64::from(scene.header().page_bytes);
+        Self { bytes: *scene.memory(), page_bytes, touched: RefCell::default() }
+    }
+}
+
 impl SceneMemory for Noting<'_> {
     type Record<'b>
         = &'b [u8]
     where
         Self: 'b;
+
+    const HOLDS_NOTHING: bool = true;
 
     fn record(&self, offset: u64, length: usize) -> Option<&[u8]> {
         self.touched.borrow_mut().insert(offset / self.page_bytes);
@@ -203,12 +214,9 @@ impl SceneMemory for Noting<'_> {
 }
 
 /// Prints how many pages of bricks a frame reads, and on how many any brick has samples on both sides of an isovalue.
-fn print_pages(scene: &SceneView<Flat<'_>>, frame: &Frame, kernel: Kernel) {
+fn print_pages(scene: &SceneView<Flat<'_>>, touched: &HashSet<u64>, frame: &Frame) {
     let Some(volume) = scene.header().volume else { return };
     let page_bytes = u64::from(scene.header().page_bytes);
-    let noting = Noting { bytes: *scene.memory(), page_bytes, touched: RefCell::default() };
-    let Ok(noted) = SceneView::new(noting) else { return };
-    draw(&noted, frame, kernel, &mut ());
     let start = scene.header().segments.bricks.offset;
     let stored: Vec<f32> = frame.isosurfaces().iter().map(|surface| volume.stored(surface.value)).collect();
     let crosses = |brick: &u64| {
@@ -225,7 +233,6 @@ fn print_pages(scene: &SceneView<Flat<'_>>, frame: &Frame, kernel: Kernel) {
     };
     let page_of = |brick: u64| (start + volume.brick_offset(brick)) / page_bytes;
     let own: HashSet<u64> = (0..volume.bricks).filter(crosses).map(page_of).collect();
-    let touched = noted.memory().touched.borrow();
     let of_bricks = touched.iter().filter(|page| **page >= start / page_bytes);
     let (all, in_own) = (of_bricks.clone().count(), of_bricks.filter(|page| own.contains(page)).count());
     println!(
