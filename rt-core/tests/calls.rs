@@ -31,7 +31,7 @@ proptest! {
             prop_assert_eq!(scene.any_filtered(&ray, |_| false, &mut ()), Ok(false));
             if let Some(hit) = hit {
                 let id = scene.original_id(hit.primitive);
-                let other = |other: &rt_core::Hit| scene.original_id(other.primitive) != id;
+                let other = |other: &Hit| scene.original_id(other.primitive) != id;
                 let behind = scene.nearest_filtered(&ray, other, &mut ()).expect("sound");
                 prop_assert!(behind.is_none_or(|behind| behind.t >= hit.t && other(&behind)));
                 prop_assert_eq!(scene.any_filtered(&ray, other, &mut ()), Ok(behind.is_some()));
