@@ -3,7 +3,10 @@
 use anyhow::Result;
 
 use crate::findings::Findings;
-use crate::{embree, fig5, gather, iso, iso_error, left_out, paging_core, replacement, scaling, sim, table1};
+use crate::{
+    embree, fig5, gather, iso, iso_error, left_out, paging_core, replacement, scaling, sim, table1,
+    triangle_tests,
+};
 
 /// An experiment: its name on the command line, what it shows, how it is run.
 #[derive(Debug)]
@@ -37,6 +40,7 @@ pub(crate) const ALL: &[Experiment] = &[
     left_out::EXPERIMENT,
     iso_error::EXPERIMENT,
     iso::EXPERIMENT,
+    triangle_tests::EXPERIMENT,
 ];
 
 impl Effort {
