@@ -95,7 +95,7 @@ fn print(text: &str) -> Result<()> {
 fn list() -> String {
     let mut text = String::from("experiments:\n");
     for experiment in ALL {
-        let _ = writeln!(text, "  {:11} {}", experiment.name, experiment.shows);
+        let _ = writeln!(text, "  {:14} {}", experiment.name, experiment.shows);
     }
     text.push_str("run one with: bench NAME [--out DIR] [--quick]\n");
     text

@@ -4,7 +4,7 @@ use anyhow::Result;
 
 use crate::findings::Findings;
 use crate::{balance, embree, fig5, fig7, gather, iso, iso_error, left_out};
-use crate::{paging_core, replacement, scaling, sim, table1};
+use crate::{paging_core, replacement, scaling, sim, table1, triangle_tests};
 
 /// An experiment: its name on the command line, what it shows, how it is run.
 #[derive(Debug)]
@@ -40,6 +40,7 @@ pub(crate) const ALL: &[Experiment] = &[
     left_out::EXPERIMENT,
     iso_error::EXPERIMENT,
     iso::EXPERIMENT,
+    triangle_tests::EXPERIMENT,
 ];
 
 impl Effort {

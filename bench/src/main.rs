@@ -19,6 +19,7 @@
 //! | [`iso`] | isosurfaces against flying edges and Embree |
 //! | [`iso_error`] | isosurfaces: error against run time |
 //! | [`left_out`] | what a scene does not need |
+//! | [`triangle_tests`] | error against run time of the triangle tests |
 //! | [`sim`] | the simulator: events a second |
 //! | [`findings`], [`table`], [`plot`], [`spread`] | what an experiment gives back, and how it is shown |
 //! | [`quiet`] | telling quiet rounds from those in which other programs wanted the machine |
@@ -57,6 +58,7 @@ mod space;
 mod spread;
 mod table;
 mod table1;
+mod triangle_tests;
 mod volumes;
 
 use std::process::ExitCode;

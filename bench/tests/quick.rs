@@ -38,6 +38,7 @@ fn every_experiment_runs_and_writes_what_it_found() {
         "gather",
         "embree",
         "left-out",
+        "triangle-tests",
         "iso-error",
         "iso",
     ] {

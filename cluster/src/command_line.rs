@@ -14,7 +14,7 @@ use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use fault_linux::BackendKind;
 use rt_core::image::{PAGE_BYTES_MAX, PAGE_BYTES_MIN};
 use rt_core::schedule::Balancer;
-use rt_core::{Kernel, Solver};
+use rt_core::{Kernel, Solver, TriangleTestKind};
 use scene::builtin::BuiltIn;
 use scene::volume::StoredType;
 use scene::{Info, SceneFile};
@@ -152,6 +152,9 @@ struct Cluster {
     /// How tiles are drawn: auto, avx512, avx2, portable (beams with these instructions), rays, or rays-avx2 and so on; all draw the same
     #[arg(long, value_name = "NAME", default_value = "auto", value_parser = kernel)]
     kernel: ChosenKernel,
+    /// How triangles are tested: woop, watertight, or moller, for comparison; that one draws ray by ray
+    #[arg(long, value_name = "NAME", default_value_t = TriangleTestKind::default())]
+    triangle_test: TriangleTestKind,
     /// How pages travel between the processes
     #[arg(long, value_name = "NAME", value_enum, default_value_t = TransportKind::Shm)]
     transport: TransportKind,
@@ -410,6 +413,7 @@ impl Render {
             replay,
             isosurfaces: view.iso,
             solver: view.solver,
+            triangle_test: cluster.triangle_test,
             deadline: cluster.deadline,
             lose_per_mille: cluster.lose,
             replicas: cluster.replicas,

@@ -13,7 +13,7 @@ use dsm_core::replacement::{PolicyKind, ReferenceSource};
 use fault_linux::BackendKind;
 use rt_core::schedule::ledger::{DealtNode, DealtTile, LedgerConfig};
 use rt_core::schedule::{Balancer, Ledger, LedgerStorage};
-use rt_core::{Frame, Header, HeaderError, Isosurface, Kernel, SceneNeeds, Solver, Tiles};
+use rt_core::{Frame, Header, HeaderError, Isosurface, Kernel, SceneNeeds, Solver, Tiles, TriangleTestKind};
 use scene::builtin::BuiltIn;
 use transport_shm::{Inbox, Layout, PageFile};
 
@@ -82,6 +82,8 @@ pub struct Options {
     pub isosurfaces: Vec<Surface>,
     /// How their roots are found.
     pub solver: Solver,
+    /// How triangles are tested.
+    pub triangle_test: TriangleTestKind,
     /// A fault that is not served, or a process that says nothing, for this long ends the run.
     pub deadline: Duration,
     /// Messages that are lost on purpose, in a thousand.
@@ -125,6 +127,7 @@ impl Default for Options {
             replay: Replay::Frames,
             isosurfaces: Vec::new(),
             solver: Solver::default(),
+            triangle_test: TriangleTestKind::default(),
             deadline: Duration::from_secs(5),
             lose_per_mille: 0,
             replicas: 1,
@@ -159,12 +162,18 @@ pub fn run(options: &Options, mut on_frame: impl FnMut(&Shown<'_>) -> Result<()>
     options.check()?;
     let image = options.source.open(options.page_bytes, options.quiet)?;
     check_built(&image)?;
+    if options.triangle_test == TriangleTestKind::Moller && image.header.volume.is_some() {
+        bail!("--triangle-test moller draws meshes; {} is a volume", image.name);
+    }
     let image = if options.is_replicated() { image.freeze()? } else { image };
     let run = Run::plan(options, &image)?;
     let (name, header) = (image.name.clone(), image.header);
     let Options { session, size, solver, .. } = options;
     let shown = Surfaces::new(&options.isosurfaces, session, &options.source, &image)?;
-    let moments = session.frames(&header.view, *size, *solver, |asked| shown.of_moment(asked))?;
+    let mut moments = session.frames(&header.view, *size, *solver, |asked| shown.of_moment(asked))?;
+    for frame in &mut moments {
+        *frame = frame.with_triangle_test(options.triangle_test);
+    }
     let notes = image.notes.iter().map(ToString::to_string).chain(left_out_of_frames()).collect();
     let (mailboxes, letters) = balance::mailboxes(run.mailboxes(options))?;
     let files = run.files(image, mailboxes)?;

@@ -26,12 +26,14 @@ impl Filter for () {
 }
 
 /// A filter that shows the caller's closure each hit in the caller's units.
-struct HitFilter<'a, F> {
+///
+/// It does not know the closure's type: kernels are compiled once for all closures, and a hit is rare enough for a call.
+struct HitFilter<'a> {
     ray: &'a GridRay,
-    accept: F,
+    accept: &'a mut dyn FnMut(&Hit) -> bool,
 }
 
-impl<F: FnMut(&Hit) -> bool> Filter for HitFilter<'_, F> {
+impl Filter for HitFilter<'_> {
     fn accepts(&mut self, crossing: &Crossing, primitive: Primitive, surface: &Surface) -> bool {
         let hit = self.ray.hit_at::<AllKinds>(crossing, primitive, surface);
         hit.is_some_and(|hit| (self.accept)(&hit))
@@ -63,11 +65,11 @@ impl<M: SceneMemory> SceneView<M> {
     pub fn nearest_filtered<C: Count>(
         &self,
         ray: &Ray,
-        accept: impl FnMut(&Hit) -> bool,
+        mut accept: impl FnMut(&Hit) -> bool,
         count: &mut C,
     ) -> Result<Option<Hit>, Damaged> {
         let Some(ray) = GridRay::from_world(ray, self.header()) else { return Ok(None) };
-        let mut filter = HitFilter { ray: &ray, accept };
+        let mut filter = HitFilter { ray: &ray, accept: &mut accept };
         self.nearest_with::<WoopRay, _, _>(&ray, &mut filter, count)
     }
 
@@ -91,11 +93,11 @@ impl<M: SceneMemory> SceneView<M> {
     pub fn any_filtered<C: Count>(
         &self,
         ray: &Ray,
-        accept: impl FnMut(&Hit) -> bool,
+        mut accept: impl FnMut(&Hit) -> bool,
         count: &mut C,
     ) -> Result<bool, Damaged> {
         let Some(ray) = GridRay::from_world(ray, self.header()) else { return Ok(false) };
-        let mut filter = HitFilter { ray: &ray, accept };
+        let mut filter = HitFilter { ray: &ray, accept: &mut accept };
         self.any_with::<WoopRay, _, _>(&ray, &mut filter, count)
     }
 }

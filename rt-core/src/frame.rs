@@ -9,6 +9,7 @@ use crate::camera::{Aim, Camera, Orbit, OrbitPlace};
 use crate::cubic::Solver;
 #[cfg(doc)]
 use crate::shade::ALBEDO;
+use crate::triangle_test::TriangleTestKind;
 
 /// One picture to draw: its size, camera, light, shadow rule and isosurfaces. 136 bytes of fixed layout, sent as they are.
 ///
@@ -22,7 +23,7 @@ pub struct Frame {
     pub width: u32,
     /// Rows, `1..=SIZE_MAX`.
     pub height: u32,
-    /// Bits: what to leave out. See [`NO_SHADOWS`](Self::NO_SHADOWS).
+    /// Bits: [`NO_SHADOWS`](Self::NO_SHADOWS), [`MOLLER`](Self::MOLLER).
     pub flags: u32,
     /// Eye and directions of the pixels.
     pub camera: Camera,
@@ -84,6 +85,9 @@ pub enum FrameError {
 impl Frame {
     /// Flag: the light shines through everything, and no shadow rays are traced.
     pub const NO_SHADOWS: u32 = 1;
+
+    /// Flag: triangles are tested by [`TriangleTestKind::Moller`]. Scenes with a volume do not look at it.
+    pub const MOLLER: u32 = 1 << 1;
 
     /// Largest width and height.
     pub const SIZE_MAX: u32 = 16_384;
@@ -149,6 +153,18 @@ impl Frame {
         self.check()
     }
 
+    /// The same frame drawn with this triangle test.
+    #[must_use]
+    pub const fn with_triangle_test(self, test: TriangleTestKind) -> Self {
+        let flag = if matches!(test, TriangleTestKind::Moller) { Self::MOLLER } else { 0 };
+        Self { flags: self.flags & !Self::MOLLER | flag, ..self }
+    }
+
+    /// How triangles are tested.
+    pub const fn triangle_test(&self) -> TriangleTestKind {
+        if self.flags & Self::MOLLER == 0 { TriangleTestKind::Woop } else { TriangleTestKind::Moller }
+    }
+
     /// The isosurfaces that are shown.
     pub fn isosurfaces(&self) -> &[Isosurface] {
         self.isosurfaces.get(..self.isosurface_count as usize).unwrap_or_default()
@@ -191,7 +207,7 @@ impl Frame {
         if !vectors.iter().all(|v| v.is_finite()) || !numbers.iter().all(|n| n.is_finite()) {
             return Err(FrameError::NotFinite);
         }
-        if self.flags & !Self::NO_SHADOWS != 0 {
+        if self.flags & !(Self::NO_SHADOWS | Self::MOLLER) != 0 {
             return Err(FrameError::Flags(self.flags));
         }
         if self.isosurface_count as usize > ISOVALUES_MAX {
@@ -250,6 +266,24 @@ mod tests {
         let frame = frame(1.5, 30).expect("valid");
         assert_eq!(frame.as_bytes().len(), 136);
         assert_eq!(Frame::read(frame.as_bytes()), Ok(frame));
+    }
+
+    #[test]
+    fn the_triangle_test_round_trips_and_unknown_flags_are_refused() {
+        let woop = frame(1.5, 30).expect("valid");
+        let moller = woop.with_triangle_test(TriangleTestKind::Moller);
+        for frame in [woop, moller] {
+            assert_eq!(Frame::read(frame.as_bytes()), Ok(frame));
+            assert_eq!(frame.triangle_test().name().parse(), Ok(frame.triangle_test()));
+        }
+        assert_eq!(moller.with_triangle_test(TriangleTestKind::Woop), woop);
+        assert_eq!(
+            (woop.triangle_test(), moller.triangle_test()),
+            (TriangleTestKind::Woop, TriangleTestKind::Moller)
+        );
+        let unknown = Frame { flags: 1 << 7, ..woop };
+        assert_eq!(Frame::read(unknown.as_bytes()), Err(FrameError::Flags(1 << 7)));
+        assert!("muller".parse::<TriangleTestKind>().is_err());
     }
 
     #[test]

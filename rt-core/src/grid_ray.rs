@@ -33,16 +33,16 @@ pub struct GridRay {
 
 /// What culling needs of a ray. The fourth lanes are 0.
 #[derive(Clone, Copy, Debug)]
-struct Culling {
-    origin: Vec4,
+pub(crate) struct Culling {
+    pub(crate) origin: Vec4,
     /// One over the direction, tiny components replaced; and its size.
-    inverse: Vec4,
+    pub(crate) inverse: Vec4,
     inverse_abs: Vec4,
     /// Axes along which the ray runs backwards: 1, else 0.
     backwards: Vec4,
     /// Padding of cells and of boxes, as lengths of `t`.
-    cell_pad: Vec4,
-    box_pad: Vec4,
+    pub(crate) cell_pad: Vec4,
+    pub(crate) box_pad: Vec4,
 }
 
 impl GridRay {
@@ -130,6 +130,11 @@ impl GridRay {
         self.flip
     }
 
+    /// What culling needs of the ray.
+    pub(crate) const fn culling(&self) -> &Culling {
+        &self.cull
+    }
+
     /// The hit in the caller's units. A hit of other kinds than `K` is none.
     #[inline]
     pub fn hit<K: Kinds>(&self, nearest: &Nearest) -> Option<Hit> {
@@ -151,15 +156,27 @@ impl GridRay {
             Surface::Sphere(sphere) if K::SPHERES => self.sphere_ray().normal(sphere),
             _ => return None,
         };
-        Some(Hit { t: Scale::new(self.caller_from_grid).apply(t), u, v, primitive, normal })
+        Some(Hit { t: self.caller_t(t), u, v, primitive, normal })
     }
 
-    /// The cells of the branch at `corner` that the ray enters before `t_max`, one bit each. *Flipped*: counted along
-    /// the ray, so that the lowest is the nearest.
+    /// A distance in the caller's units.
+    #[inline]
+    pub(crate) fn caller_t(&self, t: f32) -> f32 {
+        Scale::new(self.caller_from_grid).apply(t)
+    }
+
+    /// The cells of the branch at `corner` that the ray enters before `t_max`, one bit each, and when it enters each.
+    /// *Flipped*: counted along the ray, so that the lowest is the nearest.
     ///
     /// Vector types of four are used here and below as independent lanes, which round like scalars.
     #[inline(always)]
-    pub(crate) fn cells_entered<S: Simd>(&self, s: S, corner: Vec4, cell: f32, t_max: f32) -> u64 {
+    pub(crate) fn cells_entered<S: Simd>(
+        &self,
+        s: S,
+        corner: Vec4,
+        cell: f32,
+        t_max: f32,
+    ) -> (u64, [[f32; LANES]; 4]) {
         let Culling { origin, inverse, inverse_abs, backwards, cell_pad, .. } = self.cull;
         // The corner of the branch where the ray comes in; cells count from there.
         let corner = corner + backwards * (cell * 4.0);
@@ -172,19 +189,10 @@ impl GridRay {
         let z = each!(2: [3, 4], row => slab(s, &COORDINATES[row], start.z, step.z, width.z));
         let enter = each!(2: y, [from, _] => s.max(enter, from));
         let exit = each!(2: y, [_, to] => s.min(exit, to));
-        of_quarters([
-            s.le(s.max(enter[0], z[0][0]), s.min(exit[0], z[0][1])),
-            s.le(s.max(enter[1], z[0][0]), s.min(exit[1], z[0][1])),
-            s.le(s.max(enter[0], z[1][0]), s.min(exit[0], z[1][1])),
-            s.le(s.max(enter[1], z[1][0]), s.min(exit[1], z[1][1])),
-        ])
-    }
-
-    /// Where the ray enters the padded cell with its lowest corner at `corner`.
-    #[inline(always)]
-    pub(crate) fn t_enter(&self, corner: Vec4, cell: f32) -> f32 {
-        let Culling { origin, inverse, backwards, cell_pad, .. } = self.cull;
-        ((corner + backwards * cell - origin) * inverse - cell_pad).max_element()
+        let enter = each!(4: [(0, 0), (1, 0), (0, 1), (1, 1)], (y, layer) => s.max(enter[y], z[layer][0]));
+        let exit = each!(4: [(0, 0), (1, 0), (0, 1), (1, 1)], (y, layer) => s.min(exit[y], z[layer][1]));
+        let entered = each!(4: [0, 1, 2, 3], quarter => s.le(enter[quarter], exit[quarter]));
+        (of_quarters(entered), each!(4: enter, enter => s.array(enter)))
     }
 
     /// Whether the ray enters the box of a leaf of the branch at `corner` before `t_max`.
@@ -217,12 +225,12 @@ fn slab<S: Simd>(s: S, coordinates: &[f32; LANES], start: f32, step: f32, width:
 
 /// The bits of 64 cells, sixteen at a time.
 #[inline(always)]
-fn of_quarters([a, b, c, d]: [Mask; 4]) -> u64 {
+pub(crate) fn of_quarters([a, b, c, d]: [Mask; 4]) -> u64 {
     (u64::from(a) | u64::from(b) << 16) | (u64::from(c) << 32 | u64::from(d) << 48)
 }
 
 /// Coordinates of cells in Morton order: x of each sixteen, y of the first and second, z of the first and third.
-const COORDINATES: [[f32; LANES]; 5] =
+pub(crate) const COORDINATES: [[f32; LANES]; 5] =
     [coordinates(0, 0), coordinates(0, 1), coordinates(16, 1), coordinates(0, 2), coordinates(32, 2)];
 
 /// The coordinates along `axis` of sixteen cells from `first` on.

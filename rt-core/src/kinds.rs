@@ -59,6 +59,16 @@ impl Kinds for AllKinds {
     type Test<T: TriangleTest> = T;
 }
 
+/// Every kind that this build traces: for what need not be fast, and has one instance.
+#[cfg(all(feature = "triangles", feature = "spheres"))]
+pub type BuiltKinds = AllKinds;
+/// Every kind that this build traces: for what need not be fast, and has one instance.
+#[cfg(not(feature = "spheres"))]
+pub type BuiltKinds = OnlyTriangles;
+/// Every kind that this build traces: for what need not be fast, and has one instance.
+#[cfg(all(feature = "spheres", not(feature = "triangles")))]
+pub type BuiltKinds = OnlySpheres;
+
 /// Something to do with the instance of a kernel that fits a scene: a closure over a type.
 pub trait ForKinds {
     /// What comes of it.

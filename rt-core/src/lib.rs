@@ -20,6 +20,9 @@
 //! what was left out is refused by its header. Likewise `shadows`, which frames may want, and `lanes-avx2` and
 //! `lanes-avx512`, without which narrower lanes give the same bits.
 //!
+//! A normal is computed for a hit that is asked for it, not for [`SceneView::nearest_place`]; and which
+//! [geometry](SceneView::geometry_id) a primitive belongs to is looked up by who wants to know: no kernel reads ids.
+//!
 //! Embedders also find [any hits](SceneView::any), [packets of 16 rays](SceneView::nearest16) under a mask,
 //! [filters](SceneView::nearest_filtered) that pass hits through, and [other triangle tests](triangle_test).
 //!
@@ -69,6 +72,7 @@ mod frame;
 mod geometry;
 pub mod grid;
 pub mod grid_ray;
+mod hit_place;
 pub mod image;
 #[cfg(feature = "volumes")]
 pub mod isosurface;
@@ -79,6 +83,9 @@ pub mod kinds;
 mod memory;
 mod needs;
 mod packet;
+mod packet_cluster;
+mod packet_rays;
+mod packet_walk;
 mod ray;
 pub mod scale;
 pub mod schedule;
@@ -106,6 +113,7 @@ pub use count::{Count, TileCounts, WorkCounts};
 pub use cubic::Solver;
 pub use frame::{Frame, FrameError, ISOVALUES_MAX, Isosurface};
 pub use geometry::GeometryId;
+pub use hit_place::HitPlace;
 pub use image::{Bounds, Header, HeaderError};
 #[cfg(feature = "volumes")]
 pub use isosurface::{IsoHit, Isosurfaces};
@@ -116,4 +124,5 @@ pub use packet::{Hits16, Packet16};
 pub use ray::{Hit, Primitive, Ray};
 pub use simd::{Lanes, LanesError};
 pub use tile::{TILE_SIZE, Tile, TileId, Tiles, render_tile};
+pub use triangle_test::TriangleTestKind;
 pub use view::{Damaged, SceneView};

@@ -5,7 +5,9 @@ use core::fmt;
 /// Set of the features that a scene image uses; a reader refuses an image with a bit that it does not know, or
 /// with a feature that was left out of its build.
 ///
-/// So far there are triangles, spheres and a volume. Normals and several geometries take the next bits.
+/// So far there are triangles, spheres and a volume. An image holds no normals: that of a hit follows from what was hit, and
+/// is [not computed](crate::SceneView::nearest_place) where it is not wanted. Nor does it take a bit that there are several
+/// geometries: their ids are [looked up](crate::SceneView::geometry_id) after the fact, and no kernel reads them.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct SceneNeeds(u32);
 

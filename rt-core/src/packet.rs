@@ -1,12 +1,20 @@
 //! Sixteen rays at a time, in the shape that embedders with vector code hold them.
 //!
-//! So far the rays of a packet are traced one by one; the calls are final, their speed is not.
+//! Rays that go the same way are traced [together](crate::packet_walk); how many times faster that is
+//! than one by one, `examples/packets.rs` prints.
+
+use core::marker::PhantomData;
 
 use glam::Vec3;
 
 use crate::count::Count;
+use crate::grid_ray::GridRay;
+use crate::kinds::{ForKinds, Kinds, dispatch};
 use crate::memory::SceneMemory;
+use crate::packet_walk::{Packet, TOGETHER_MIN, lanes, walk_packet};
 use crate::ray::{Hit, Primitive, Ray};
+use crate::simd::{LANES, Simd, Task};
+use crate::triangle_woop::WoopRay;
 use crate::view::{Damaged, SceneView};
 
 /// Sixteen rays, each number an array over the rays; units and edge cases as of [`Ray`].
@@ -65,6 +73,18 @@ impl Packet16 {
     }
 }
 
+impl Packet16 {
+    /// Whether the rays are worth to be taken together: there are several, and all run mainly along the same axis, the same
+    /// way.
+    fn goes_together(&self, active: u16) -> bool {
+        let mut axes = lanes(active).map(|lane| {
+            let [x, y, z] = self.direction.each_ref().map(|axis| axis[lane]);
+            WoopRay::main_axis(Vec3::new(x, y, z))
+        });
+        active.count_ones() >= TOGETHER_MIN && axes.next().is_some_and(|first| axes.all(|axis| axis == first))
+    }
+}
+
 impl Hits16 {
     /// No hit at all.
     pub const NONE: Self = Self {
@@ -97,7 +117,8 @@ impl Hits16 {
 
 impl<M: SceneMemory> SceneView<M> {
     /// The nearest hits of the rays whose bits are set in `active`; each the same, to the bit, as
-    /// [`nearest`](Self::nearest) finds. The numbers of other lanes are not looked at.
+    /// [`nearest`](Self::nearest) finds, but that of a triangle or sphere which is stored in several cells another place may be
+    /// named. The numbers of other lanes are not looked at. What several rays read together is counted once.
     ///
     /// ```
     /// # use rt_core::{Flat, Packet16, Ray, SceneView};
@@ -123,13 +144,18 @@ impl<M: SceneMemory> SceneView<M> {
         active: u16,
         count: &mut C,
     ) -> Result<Hits16, Damaged> {
-        let mut hits = Hits16::NONE;
-        for lane in lanes(active) {
-            if let Some(hit) = self.nearest(&packet.ray(lane), count)? {
-                hits.set(lane, &hit);
+        if !packet.goes_together(active) {
+            let mut hits = Hits16::NONE;
+            for lane in lanes(active) {
+                if let Some(hit) = self.nearest(&packet.ray(lane), count)? {
+                    hits.set(lane, &hit);
+                }
             }
+            return Ok(hits);
         }
-        Ok(hits)
+        let Some((rays, active)) = self.grid_rays(packet, active) else { return Ok(Hits16::NONE) };
+        let packet = Packet::new(&rays, active);
+        dispatch(self.header().needs, Trace16::<_, _, false> { scene: self, packet, count })
     }
 
     /// Which of the rays whose bits are set in `active` hit anything.
@@ -148,15 +174,85 @@ impl<M: SceneMemory> SceneView<M> {
     /// # Errors
     /// As [`nearest16`](Self::nearest16).
     pub fn any16<C: Count>(&self, packet: &Packet16, active: u16, count: &mut C) -> Result<u16, Damaged> {
-        let mut mask = 0;
-        for lane in lanes(active) {
-            mask |= u16::from(self.any(&packet.ray(lane), count)?) << lane;
+        if !packet.goes_together(active) {
+            let mut mask = 0;
+            for lane in lanes(active) {
+                mask |= u16::from(self.any(&packet.ray(lane), count)?) << lane;
+            }
+            return Ok(mask);
         }
-        Ok(mask)
+        let Some((rays, active)) = self.grid_rays(packet, active) else { return Ok(0) };
+        let packet = Packet::new(&rays, active);
+        let hits = dispatch(self.header().needs, Trace16::<_, _, true> { scene: self, packet, count })?;
+        Ok(hits.mask)
+    }
+
+    /// The active rays that can hit anything, in the units of the grid, and which they are; the other lanes are filled up
+    /// with one of them. `None` when there is none.
+    fn grid_rays(&self, packet: &Packet16, active: u16) -> Option<([GridRay; LANES], u16)> {
+        let grid_ray = |lane| GridRay::from_world(&packet.ray(lane), self.header());
+        let mut usable = lanes(active).filter_map(|lane| Some((lane, grid_ray(lane)?)));
+        let (lane, ray) = usable.next()?;
+        let (mut rays, mut found) = ([ray; LANES], 1 << lane);
+        for (lane, ray) in usable {
+            rays[lane] = ray;
+            found |= 1 << lane;
+        }
+        Some((rays, found))
     }
 }
 
-/// The lanes whose bits are set, lowest first.
-fn lanes(active: u16) -> impl Iterator<Item = usize> {
-    (0..16).filter(move |lane| active >> lane & 1 == 1)
+/// A packet to be traced: for the nearest hits, or with `ANY` for which rays hit anything.
+struct Trace16<'a, M, C, const ANY: bool> {
+    scene: &'a SceneView<M>,
+    packet: Packet<'a>,
+    count: &'a mut C,
+}
+
+impl<M: SceneMemory, C: Count, const ANY: bool> ForKinds for Trace16<'_, M, C, ANY> {
+    type Output = Result<Hits16, Damaged>;
+
+    fn run<K: Kinds>(self) -> Self::Output {
+        let Self { scene, mut packet, count } = self;
+        scene.lanes().run(Walk16::<_, _, K, ANY> {
+            scene,
+            packet: &mut packet,
+            count,
+            kinds: PhantomData,
+        })?;
+        Ok(packet.hits::<K, ANY>())
+    }
+}
+
+/// A [`Trace16`] of primitives of the kinds `K`.
+struct Walk16<'a, 'b, M, C, K, const ANY: bool> {
+    scene: &'a SceneView<M>,
+    packet: &'a mut Packet<'b>,
+    count: &'a mut C,
+    kinds: PhantomData<K>,
+}
+
+impl<M: SceneMemory, C: Count, K: Kinds, const ANY: bool> Task for Walk16<'_, '_, M, C, K, ANY> {
+    type Output = Result<(), Damaged>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) -> Self::Output {
+        let Self { scene, packet, count, .. } = self;
+        walk_packet::<S, M, C, K, ANY>(s, scene, packet, count)
+    }
+}
+
+impl Packet<'_> {
+    /// What was hit, in the caller's units; with `ANY`, only by which rays.
+    fn hits<K: Kinds, const ANY: bool>(&self) -> Hits16 {
+        let mut hits = Hits16::NONE;
+        for lane in lanes(self.active) {
+            if ANY {
+                hits.mask |= u16::from(self.nearest[lane].surface.is_some()) << lane;
+            } else if let Some(hit) = self.rays[lane].hit::<K>(&self.nearest[lane]) {
+                hits.set(lane, &hit);
+            }
+        }
+        hits
+    }
 }

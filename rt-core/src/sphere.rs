@@ -30,11 +30,11 @@ use glam::Vec3;
 
 use crate::cluster::Nearest;
 use crate::cluster::quads;
-use crate::count::Count;
 use crate::filter::Filter;
-use crate::grid::{SPHERES_MAX, SpheresRef};
+use crate::grid::SpheresRef;
 use crate::ray::Primitive;
 use crate::shade::{difference, unit};
+use crate::simd::{LANES, Mask, Part, Simd, each, first_lanes};
 use crate::surface::Surface;
 use crate::triangle_woop::Crossing;
 
@@ -156,62 +156,80 @@ impl<'a> SphereCluster<'a> {
     /// Offers every sphere that the ray hits and `filter` accepts to `nearest`; with `ANY`, stops at the first.
     ///
     /// The plain way to the same result is [`SphereRay::intersect`] for each sphere.
-    pub fn intersect_filtered<const ANY: bool>(
+    #[inline(always)]
+    pub(crate) fn intersect_filtered<S: Simd, F: Filter, const ANY: bool>(
         &self,
+        s: S,
         ray: &SphereRay,
         nearest: &mut Nearest,
-        filter: &mut impl Filter,
-        count: &mut impl Count,
+        filter: &mut F,
     ) {
-        count.cluster();
-        count.spheres(u32::from(self.place.count));
-        let mut candidates = self.candidates(ray, nearest.crossing.t);
-        while candidates != 0 {
-            let index = candidates.trailing_zeros() as usize;
-            candidates &= candidates - 1;
-            let sphere = self.sphere(index);
-            if let Some(crossing) = ray.intersect(&sphere, nearest.crossing.t) {
-                let (primitive, surface) = (self.primitive(index), Surface::Sphere(sphere));
-                if !filter.accepts(&crossing, primitive, &surface) {
-                    continue;
-                }
-                nearest.offer(crossing, primitive, surface);
-                if ANY {
-                    return;
-                }
-            }
-        }
+        s.apart(Intersect::<F, ANY> { cluster: self, ray, nearest, filter });
     }
 
-    /// The spheres that single precision cannot reject, one bit each.
+    /// Of sixteen spheres from `first` on those that single precision cannot reject.
     ///
     /// `|f x d| > r |d|` rejects, and so does a sphere that lies behind the origin or beyond `t_max`. With `e =
     /// 2^-24` and `s = |f_x| + |f_y| + |f_z|`, the cross product is off by at most `6 e s |d|` and `f.d` by `5 e s
     /// d.d`, so `16 e s` more for the radius makes up for both; a millionth on top for the squares, and a
     /// smallest number for squares that underflow. A NaN rejects nothing.
-    #[inline]
-    fn candidates(&self, ray: &SphereRay, t_max: f32) -> u32 {
-        let count = usize::from(self.place.count).min(LANES);
-        let [Some(xs), Some(ys), Some(zs), Some(radii)] = self.lanes.map(|lane| lane.get(..count)) else {
-            return 0;
-        };
-        let (o, d) = (ray.origin, ray.direction);
-        let length_squared = d.x * d.x + d.y * d.y + d.z * d.z;
-        let far = t_max * length_squared;
-        let mut rejected = [0_u32; LANES];
-        for lane in 0..count {
-            let [x, y, z, radius] = [xs[lane], ys[lane], zs[lane], radii[lane]].map(f32::from_le_bytes);
-            let (x, y, z) = (x - o.x, y - o.y, z - o.z);
-            let reach = (radius + (x.abs() + y.abs() + z.abs()) * MARGIN) * (1.0 + MARGIN);
-            let across = [y * d.z - z * d.y, z * d.x - x * d.z, x * d.y - y * d.x];
-            let across = across[0] * across[0] + across[1] * across[1] + across[2] * across[2];
-            let along = x * d.x + y * d.y + z * d.z;
-            let ahead = reach * length_squared;
-            rejected[lane] = u32::from(across > reach * ahead + f32::MIN_POSITIVE)
-                | u32::from(along + ahead < 0.0)
-                | u32::from(along - ahead > far);
+    #[inline(always)]
+    fn candidates<S: Simd>(&self, s: S, ray: &SphereRay, first: usize, t_max: f32) -> Mask {
+        let count = (self.lanes[0].len() - first).min(LANES);
+        let [x, y, z, radius] = each!(4: self.lanes, lane => s.load_le(&lane[first..][..count]));
+        let (origin, direction) = (s.splat3(ray.origin), s.splat3(ray.direction));
+        let length_squared = ray.direction.dot(ray.direction);
+        let [x, y, z] = [s.sub(x, origin[0]), s.sub(y, origin[1]), s.sub(z, origin[2])];
+        let size = s.add(s.add(s.abs(x), s.abs(y)), s.abs(z));
+        let reach = s.mul(s.add(radius, s.mul(size, s.splat(MARGIN))), s.splat(1.0 + MARGIN));
+        let from = [x, y, z];
+        let across = each!(3: [(1, 2), (2, 0), (0, 1)], (i, j) => {
+            s.sub(s.mul(from[i], direction[j]), s.mul(from[j], direction[i]))
+        });
+        let across = s.dot(across, across);
+        let along = s.dot(from, direction);
+        let ahead = s.mul(reach, s.splat(length_squared));
+        let passes = s.lt(s.add(s.mul(reach, ahead), s.splat(f32::MIN_POSITIVE)), across);
+        let is_behind = s.lt(s.add(along, ahead), s.splat(0.0));
+        let is_beyond = s.lt(s.splat(t_max * length_squared), s.sub(along, ahead));
+        !(passes | is_behind | is_beyond)
+    }
+}
+
+/// A cluster to be tested, as a function of its own.
+struct Intersect<'a, F, const ANY: bool> {
+    cluster: &'a SphereCluster<'a>,
+    ray: &'a SphereRay,
+    nearest: &'a mut Nearest,
+    filter: &'a mut F,
+}
+
+impl<S: Simd, F: Filter, const ANY: bool> Part<S> for Intersect<'_, F, ANY> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self, s: S) {
+        let Self { cluster, ray, nearest, filter } = self;
+        let spheres = usize::from(cluster.place.count);
+        let mut first = 0;
+        while first < spheres {
+            let candidates = cluster.candidates(s, ray, first, nearest.crossing.t);
+            let mut candidates = candidates & first_lanes(spheres - first);
+            while candidates != 0 {
+                let index = first + candidates.trailing_zeros() as usize;
+                candidates &= candidates - 1;
+                let sphere = cluster.sphere(index);
+                let Some(crossing) = ray.intersect(&sphere, nearest.crossing.t) else { continue };
+                let (primitive, surface) = (cluster.primitive(index), Surface::Sphere(sphere));
+                if filter.accepts(&crossing, primitive, &surface) {
+                    nearest.offer(crossing, primitive, surface);
+                    if ANY {
+                        return;
+                    }
+                }
+            }
+            first += LANES;
         }
-        (0..count).fold(0, |candidates, lane| candidates | u32::from(rejected[lane] == 0) << lane)
     }
 }
 
@@ -238,12 +256,8 @@ const fn single(value: f64) -> f32 {
     single
 }
 
-const LANES: usize = SPHERES_MAX as usize;
-
 /// `16 e`, and about a millionth.
 const MARGIN: f32 = crate::scale::power_of_two(-20);
-
-const _: () = assert!(SPHERES_MAX as u32 <= u32::BITS);
 
 #[cfg(test)]
 mod tests {

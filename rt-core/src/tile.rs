@@ -10,15 +10,18 @@ use crate::count::{Count, TileCounts};
 use crate::frame::Frame;
 use crate::grid_ray::GridRay;
 use crate::kernel::Kernel;
-use crate::kinds::{ForKinds, Kinds, dispatch};
+use crate::kinds::{BuiltKinds, ForKinds, Kinds, dispatch};
 use crate::memory::SceneMemory;
 #[cfg(feature = "volumes")]
 use crate::needs::SceneNeeds;
 use crate::scale::Scale;
 use crate::shade::{self, LitPoint};
 use crate::simd::{LANES, Simd, Task};
+use crate::triangle_moller::MollerRay;
+use crate::triangle_test::{TriangleTest, TriangleTestKind};
+use crate::triangle_woop::WoopRay;
 use crate::view::{Damaged, SceneView};
-use crate::walk::walk;
+use crate::walk::walk_with;
 
 /// Edge of a tile in pixels; tiles at the right and lower edge of a picture may be smaller.
 pub const TILE_SIZE: u32 = 32;
@@ -115,6 +118,11 @@ pub fn render_tile<M: SceneMemory, C: Count>(
     if scene.header().needs.contains(SceneNeeds::VOLUME) {
         return crate::volume_tile::draw(&view, tile, kernel, pixels, work);
     }
+    if frame.triangle_test() == TriangleTestKind::Moller {
+        let (Kernel::Beams(lanes) | Kernel::Rays(lanes)) = kernel;
+        let instance = PhantomData::<(BuiltKinds, MollerRay)>;
+        return lanes.run(DrawByRays { view: &view, tile, pixels, work, instance });
+    }
     dispatch(scene.header().needs, DrawTile { view: &view, tile, kernel, pixels, work })
 }
 
@@ -137,32 +145,32 @@ impl<M: SceneMemory, C: Count> ForKinds for DrawTile<'_, M, C> {
             Kernel::Rays(_) => None,
         };
         let (Kernel::Beams(lanes) | Kernel::Rays(lanes)) = kernel;
-        by_beams
-            .unwrap_or_else(|| lanes.run(DrawByRays { view, tile, pixels, work, kinds: PhantomData::<K> }))
+        let instance = PhantomData::<(K, WoopRay)>;
+        by_beams.unwrap_or_else(|| lanes.run(DrawByRays { view, tile, pixels, work, instance }))
     }
 }
 
 /// A tile, to be drawn one ray after the other.
-struct DrawByRays<'a, M, C, K> {
+struct DrawByRays<'a, M, C, K, T> {
     view: &'a TileView<'a, M>,
     tile: Tile,
     pixels: &'a mut [u8],
     work: &'a mut C,
-    kinds: PhantomData<K>,
+    instance: PhantomData<(K, T)>,
 }
 
-impl<M: SceneMemory, C: Count, K: Kinds> Task for DrawByRays<'_, M, C, K> {
+impl<M: SceneMemory, C: Count, K: Kinds, T: TriangleTest> Task for DrawByRays<'_, M, C, K, T> {
     type Output = TileCounts;
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) -> TileCounts {
         let Self { view, tile, pixels, work, .. } = self;
-        draw_by_rays::<S, M, C, K>(s, view, tile, pixels, work)
+        draw_by_rays::<S, M, C, K, T>(s, view, tile, pixels, work)
     }
 }
 
 #[inline(always)]
-fn draw_by_rays<S: Simd, M: SceneMemory, C: Count, K: Kinds>(
+fn draw_by_rays<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: TriangleTest>(
     s: S,
     view: &TileView<'_, M>,
     tile: Tile,
@@ -175,7 +183,7 @@ fn draw_by_rays<S: Simd, M: SceneMemory, C: Count, K: Kinds>(
         let row_direction = frame.camera.row(tile.y + y);
         for (x, pixel) in (0_u32..).zip(row) {
             let direction = frame.camera.direction(row_direction, tile.x + x);
-            *pixel = shade::byte(match painter.grey::<S, K>(s, (x as usize, y as usize), direction) {
+            *pixel = shade::byte(match painter.grey::<S, K, T>(s, (x as usize, y as usize), direction) {
                 Ok(grey) => grey,
                 Err(_) => {
                     painter.counts.damaged += 1;
@@ -245,7 +253,7 @@ struct Painter<'a, M, C> {
 impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
     /// Grey of the pixel at `(x, y)` of the tile, whose ray goes along `direction`.
     #[inline(always)]
-    fn grey<S: Simd, K: Kinds>(
+    fn grey<S: Simd, K: Kinds, T: TriangleTest>(
         &mut self,
         s: S,
         (x, y): (usize, usize),
@@ -257,14 +265,14 @@ impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
         let Some(ray) = GridRay::new(eye, direction, f32::INFINITY, Scale::ONE, &scene.header().grid) else {
             return Ok(shade::BACKGROUND);
         };
-        let nearest = walk::<S, M, C, K, false>(s, scene, &ray, self.work)?;
+        let nearest = walk_with::<S, M, T, (), C, K, false>(s, scene, &ray, &mut (), self.work)?;
         let Some(hit) = ray.hit::<K>(&nearest) else { return Ok(shade::BACKGROUND) };
         self.counts.hits += 1;
         let (block, lane) = block_and_lane(x, y);
         self.depths.block(block)[lane] = hit.t;
         let at = eye + direction * hit.t;
         match LitPoint::new(at, hit.normal, direction, light, shadow_offset) {
-            Some(point) if !self.view.frame.has_shadows() || self.reaches_light::<S, K>(s, &point)? => {
+            Some(point) if !self.view.frame.has_shadows() || self.reaches_light::<S, K, T>(s, &point)? => {
                 Ok(point.lit_grey())
             }
             _ => Ok(shade::SHADOW),
@@ -272,11 +280,17 @@ impl<M: SceneMemory, C: Count> Painter<'_, M, C> {
     }
 
     #[inline(always)]
-    fn reaches_light<S: Simd, K: Kinds>(&mut self, s: S, point: &LitPoint) -> Result<bool, Damaged> {
+    fn reaches_light<S: Simd, K: Kinds, T: TriangleTest>(
+        &mut self,
+        s: S,
+        point: &LitPoint,
+    ) -> Result<bool, Damaged> {
         self.counts.shadow += 1;
         let scene = self.view.scene;
         let blocked = match GridRay::new(point.point, point.to_light, 1.0, Scale::ONE, &scene.header().grid) {
-            Some(ray) => walk::<S, M, C, K, true>(s, scene, &ray, self.work)?.surface.is_some(),
+            Some(ray) => {
+                walk_with::<S, M, T, (), C, K, true>(s, scene, &ray, &mut (), self.work)?.surface.is_some()
+            }
             None => false,
         };
         self.counts.lit += u64::from(!blocked);

@@ -9,6 +9,7 @@
 //! The kernel is compiled once for each variant in use; the default pays nothing for the others.
 
 use core::fmt;
+use core::str::FromStr;
 
 use glam::Vec3;
 
@@ -21,6 +22,23 @@ use crate::ray::{Hit, Ray};
 use crate::triangle_moller::MollerRay;
 use crate::triangle_woop::{Crossing, WoopRay};
 use crate::view::{Damaged, SceneView};
+
+/// The tests that a [`Frame`](crate::Frame) can be drawn with.
+///
+/// The pictures differ in a few pixels. Those drawn with one test are the same bytes with any kernel and any lanes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum TriangleTestKind {
+    /// [`WoopRay`]: watertight.
+    #[default]
+    Woop,
+    /// [`MollerRay`], for comparison. Beams judge by the default test, so with this one tiles are drawn ray by ray, whatever
+    /// the [`Kernel`](crate::Kernel) says.
+    Moller,
+}
+
+/// A name that is none of a triangle test.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UnknownTriangleTest;
 
 /// A ray prepared for one way of testing triangles.
 pub trait TriangleTest: Copy + fmt::Debug {
@@ -60,6 +78,41 @@ pub trait TriangleTest: Copy + fmt::Debug {
         }
     }
 }
+
+impl TriangleTestKind {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Woop, Self::Moller];
+
+    /// The name that [`FromStr`] takes.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Woop => "woop",
+            Self::Moller => "moller",
+        }
+    }
+}
+
+impl FromStr for TriangleTestKind {
+    type Err = UnknownTriangleTest;
+
+    fn from_str(name: &str) -> Result<Self, UnknownTriangleTest> {
+        Self::ALL.into_iter().find(|test| test.name() == name).ok_or(UnknownTriangleTest)
+    }
+}
+
+impl fmt::Display for TriangleTestKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl fmt::Display for UnknownTriangleTest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("triangle tests are woop and moller")
+    }
+}
+
+impl core::error::Error for UnknownTriangleTest {}
 
 impl TriangleTest for WoopRay {
     #[inline]

@@ -55,16 +55,9 @@ impl WoopRay {
     /// Prepares a ray. Origin and direction are finite and the direction is not zero.
     #[inline]
     pub fn new(origin: Vec3, direction: Vec3) -> Self {
-        let size = direction.abs();
-        let last = if size.x > size.y {
-            if size.x > size.z { 0 } else { 2 }
-        } else if size.y > size.z {
-            1
-        } else {
-            2
-        };
+        let (last, is_backwards) = Self::main_axis(direction);
         let (mut first, mut second) = ((last + 1) % 3, (last + 2) % 3);
-        if direction[last] < 0.0 {
+        if is_backwards {
             (first, second) = (second, first);
         }
         let along = direction[last];
@@ -73,6 +66,20 @@ impl WoopRay {
             origin: [origin[first], origin[second], origin[last]],
             shear: [direction[first] / along, direction[second] / along, 1.0 / along],
         }
+    }
+
+    /// The axis along which a direction points most, and whether backwards.
+    #[inline]
+    pub(crate) fn main_axis(direction: Vec3) -> (usize, bool) {
+        let size = direction.abs();
+        let axis = if size.x > size.y {
+            if size.x > size.z { 0 } else { 2 }
+        } else if size.y > size.z {
+            1
+        } else {
+            2
+        };
+        (axis, direction[axis] < 0.0)
     }
 
     /// Shears one corner, given in the order of `axes`.

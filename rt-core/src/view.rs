@@ -258,12 +258,12 @@ impl<M: SceneMemory> SceneView<M> {
 }
 
 /// A ray and how to trace it: for its nearest hit, or with `ANY` for whether there is one.
-struct Trace<'a, M, T, F, C, const ANY: bool> {
-    scene: &'a SceneView<M>,
-    ray: &'a GridRay,
-    filter: &'a mut F,
-    count: &'a mut C,
-    test: PhantomData<T>,
+pub(crate) struct Trace<'a, M, T, F, C, const ANY: bool> {
+    pub(crate) scene: &'a SceneView<M>,
+    pub(crate) ray: &'a GridRay,
+    pub(crate) filter: &'a mut F,
+    pub(crate) count: &'a mut C,
+    pub(crate) test: PhantomData<T>,
 }
 
 impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> ForKinds for Trace<'_, M, T, F, C, false> {
@@ -287,7 +287,10 @@ impl<M: SceneMemory, T: TriangleTest, F: Filter, C: Count> ForKinds for Trace<'_
 }
 
 /// A [`Trace`] of primitives of the kinds `K`.
-struct OfKinds<'a, M, T, F, C, K, const ANY: bool>(Trace<'a, M, T, F, C, ANY>, PhantomData<K>);
+pub(crate) struct OfKinds<'a, M, T, F, C, K, const ANY: bool>(
+    pub(crate) Trace<'a, M, T, F, C, ANY>,
+    pub(crate) PhantomData<K>,
+);
 
 impl<M, T, F, C, K, const ANY: bool> Task for OfKinds<'_, M, T, F, C, K, ANY>
 where

@@ -51,7 +51,7 @@ use crate::grid_ray::GridRay;
 use crate::image::Header;
 use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
-use crate::simd::{Part, Simd};
+use crate::simd::{LANES, Part, Simd};
 use crate::sphere::SphereCluster;
 use crate::triangle_test::{InLanes, TriangleTest};
 use crate::triangle_woop::WoopRay;
@@ -97,122 +97,142 @@ where
 {
     let (nearest, budget) = (Nearest::none(ray.t_max()), Budget::of(scene.header()));
     let mut walk = Walk { s, scene, ray, test: ray.test::<K::Test<T>>(), filter, count, nearest, budget };
-    walk.run::<K, ANY>()?;
+    if let Some(root) = Place::root(scene.header()) {
+        walk.run::<K, ANY>(root)?;
+    }
     Ok(walk.nearest)
 }
 
 /// A walk under way.
-struct Walk<'a, S, M, T, F, C> {
-    s: S,
-    scene: &'a SceneView<M>,
-    ray: &'a GridRay,
+pub(crate) struct Walk<'a, S, M, T, F, C> {
+    pub(crate) s: S,
+    pub(crate) scene: &'a SceneView<M>,
+    pub(crate) ray: &'a GridRay,
     /// The ray as the triangle test wants it.
-    test: T,
-    filter: &'a mut F,
-    count: &'a mut C,
-    nearest: Nearest,
-    budget: Budget,
+    pub(crate) test: T,
+    pub(crate) filter: &'a mut F,
+    pub(crate) count: &'a mut C,
+    pub(crate) nearest: Nearest,
+    pub(crate) budget: Budget,
 }
 
-/// A branch that the ray is in.
+/// Where a branch is: its index, and the cube that the way down leads to.
 #[derive(Clone, Copy)]
-struct Visit {
-    branch: Branch,
-    corner: Vec4,
-    cell: f32,
+pub(crate) struct Place {
+    pub(crate) index: u32,
+    /// Its lowest corner.
+    pub(crate) corner: Vec4,
+    /// Edge of its cells.
+    pub(crate) cell: f32,
     /// Levels of branches above.
-    depth: u32,
-    /// Cells still to visit, flipped so that the lowest bit is the nearest.
-    left: u64,
-    /// Runs that were visited, one bit each.
-    done: u64,
+    pub(crate) depth: u32,
 }
 
-impl Visit {
-    /// Takes the nearest cell that is left.
+impl Place {
+    /// The root, unless the grid is empty.
+    pub(crate) fn root(header: &Header) -> Option<Self> {
+        let (corner, cell) = (header.grid.origin.extend(0.0), header.grid.size * 0.25);
+        (header.branches > 0).then_some(Self { index: 0, corner, cell, depth: 0 })
+    }
+
+    /// The branch in the inner cell `cell` of `branch`, which is here.
+    ///
+    /// # Errors
+    /// [`Damaged`] when there cannot be one.
     #[inline(always)]
-    const fn next_cell(&mut self, flip: u32) -> Option<u32> {
-        if self.left == 0 {
-            return None;
+    pub(crate) fn child(&self, branch: &Branch, cell: u32, levels: u32) -> Result<Self, Damaged> {
+        let index = branch.child_of(cell).ok_or(Damaged::Branch(u32::MAX))?;
+        let depth = self.depth + 1;
+        if depth >= levels {
+            return Err(Damaged::Depth);
         }
-        let cell = self.left.trailing_zeros() ^ flip;
-        self.left &= self.left - 1;
-        Some(cell)
+        Ok(Self { index, corner: self.corner_of(cell), cell: self.cell * 0.25, depth })
     }
 
     /// Lowest corner of a cell; exact.
     #[inline(always)]
-    fn corner_of(&self, cell: u32) -> Vec4 {
+    pub(crate) fn corner_of(&self, cell: u32) -> Vec4 {
         self.corner + CELL_CORNERS[cell as usize % 64] * self.cell
     }
 }
 
-impl<S: Simd, M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, S, M, T, F, C> {
+/// A branch that the ray is in.
+struct Visit {
+    branch: Branch,
+    place: Place,
+    /// Cells still to visit, flipped so that the lowest bit is the nearest.
+    left: u64,
+    /// Runs that were visited, one bit each.
+    done: u64,
+    /// When the ray enters each cell, in the order of `left`.
+    enter: [[f32; LANES]; 4],
+}
+
+impl Visit {
+    /// Takes the nearest cell that is left and that the ray enters before `t_max`.
     #[inline(always)]
-    fn run<K: Kinds, const ANY: bool>(&mut self) -> Result<(), Damaged> {
-        if self.scene.header().branches == 0 {
-            return Ok(());
-        }
-        let grid = self.scene.header().grid;
-        let mut visit = self.enter(0, grid.origin.extend(0.0), grid.size * 0.25, 0)?;
-        let mut above = Vec::<Visit, LEVELS_MAX>::new();
-        loop {
-            let Some(cell) = visit.next_cell(self.ray.flip()) else {
-                let Some(last) = above.pop() else { return Ok(()) };
-                visit = last;
-                continue;
-            };
-            let corner = visit.corner_of(cell);
-            if self.is_hidden(corner, visit.cell) {
-                continue;
+    const fn next_cell(&mut self, flip: u32, t_max: f32) -> Option<u32> {
+        while self.left != 0 {
+            let nearest = self.left.trailing_zeros();
+            self.left &= self.left - 1;
+            if self.enter[nearest as usize / LANES % 4][nearest as usize % LANES] <= t_max {
+                return Some(nearest ^ flip);
             }
-            if visit.branch.inner >> cell & 1 != 0 {
-                let child = visit.branch.child_of(cell).ok_or(Damaged::Branch(u32::MAX))?;
-                let (cell, depth) = (visit.cell * 0.25, visit.depth + 1);
-                if depth >= grid.levels {
-                    return Err(Damaged::Depth);
+        }
+        None
+    }
+}
+
+impl<S: Simd, M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, S, M, T, F, C> {
+    /// Goes through the branch at `start` and all below it.
+    #[inline(always)]
+    pub(crate) fn run<K: Kinds, const ANY: bool>(&mut self, start: Place) -> Result<(), Damaged> {
+        let levels = self.scene.header().grid.levels;
+        let mut open = Vec::<Visit, LEVELS_MAX>::new();
+        let mut next = start;
+        loop {
+            let visit = self.enter(next)?;
+            open.push(visit).map_err(|_| Damaged::Depth)?;
+            next = loop {
+                let Some(visit) = open.last_mut() else { return Ok(()) };
+                let Some(cell) = visit.next_cell(self.ray.flip(), self.nearest.crossing.t) else {
+                    open.pop();
+                    continue;
+                };
+                if visit.branch.inner >> cell & 1 != 0 {
+                    break visit.place.child(&visit.branch, cell, levels)?;
                 }
-                if visit.left != 0 {
-                    above.push(visit).map_err(|_| Damaged::Depth)?;
-                }
-                visit = self.enter(child, corner, cell, depth)?;
-            } else {
                 let run = visit.branch.run_of(cell).ok_or(Damaged::Leaf(u32::MAX))?;
                 if visit.done >> run & 1 != 0 {
                     continue;
                 }
                 visit.done |= 1 << run;
-                self.visit_run::<K, ANY>(&visit, run)?;
+                let (place, leaf) = (visit.place, visit.branch.leaf);
+                self.visit_run::<K, ANY>(&place, leaf.checked_add(run).ok_or(Damaged::Leaf(u32::MAX))?)?;
                 if ANY && self.nearest.surface.is_some() {
                     return Ok(());
                 }
-            }
+            };
         }
-    }
-
-    /// Whether the ray enters a cell only behind the nearest hit.
-    #[inline(always)]
-    fn is_hidden(&self, corner: Vec4, cell: f32) -> bool {
-        self.nearest.surface.is_some() && self.ray.t_enter(corner, cell) > self.nearest.crossing.t
     }
 
     /// Reads a branch and culls its cells.
     #[inline(always)]
-    fn enter(&mut self, index: u32, corner: Vec4, cell: f32, depth: u32) -> Result<Visit, Damaged> {
+    fn enter(&mut self, place: Place) -> Result<Visit, Damaged> {
         Budget::spend(&mut self.budget.branches)?;
-        let branch = self.scene.branch(index)?;
+        let branch = self.scene.branch(place.index)?;
         self.count.branch();
-        let entered = self.ray.cells_entered(self.s, corner, cell, self.nearest.crossing.t);
+        let t_max = self.nearest.crossing.t;
+        let (entered, enter) = self.ray.cells_entered(self.s, place.corner, place.cell, t_max);
         let left = flip_cells(branch.occupied, self.ray.flip()) & entered;
-        Ok(Visit { branch, corner, cell, depth, left, done: 0 })
+        Ok(Visit { branch, place, left, done: 0, enter })
     }
 
     /// Tests what a run holds.
     #[inline(always)]
-    fn visit_run<K: Kinds, const ANY: bool>(&mut self, visit: &Visit, run: u32) -> Result<(), Damaged> {
-        let index = visit.branch.leaf.checked_add(run).ok_or(Damaged::Leaf(u32::MAX))?;
-        let frame = BoxFrame::new(visit.cell, self.scene.header().grid.slack);
-        let (s, corner) = (self.s, visit.corner);
+    fn visit_run<K: Kinds, const ANY: bool>(&mut self, place: &Place, index: u32) -> Result<(), Damaged> {
+        let frame = BoxFrame::new(place.cell, self.scene.header().grid.slack);
+        let (s, corner) = (self.s, place.corner);
         match self.visit_leaf::<K, ANY>(corner, &frame, index)? {
             None => Ok(()),
             Some((first, count)) => {
@@ -269,7 +289,9 @@ impl<S: Simd, M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, S, 
         let record = self.scene.spheres(place)?;
         let cluster = SphereCluster::new(&record, place).ok_or(Damaged::Cluster { offset: place.offset })?;
         let ray = self.ray.sphere_ray();
-        cluster.intersect_filtered::<ANY>(&ray, &mut self.nearest, self.filter, self.count);
+        self.count.cluster();
+        self.count.spheres(u32::from(place.count));
+        cluster.intersect_filtered::<S, F, ANY>(self.s, &ray, &mut self.nearest, self.filter);
         Ok(())
     }
 }
@@ -311,6 +333,7 @@ where
 }
 
 /// How many records a ray may still read; a valid image never runs out, since a ray meets each at most once.
+#[derive(Clone, Copy)]
 pub(crate) struct Budget {
     pub(crate) branches: u32,
     pub(crate) leaves: u32,

@@ -8,11 +8,15 @@ use common::surface::{Side, Surface};
 use common::{Dice, image, shapes};
 use glam::Vec3;
 use proptest::prelude::*;
+use rt_core::camera::OrbitPlace;
 use rt_core::triangle_f64::F64Ray;
 use rt_core::triangle_moller::MollerRay;
 use rt_core::triangle_test::TriangleTest;
 use rt_core::triangle_woop::{Crossing, WoopRay};
-use rt_core::{Flat, Lanes, Ray, SceneView};
+use rt_core::{
+    Flat, Frame, Kernel, Lanes, Orbit, Ray, SceneView, TileId, Tiles, TriangleTestKind, WorkCounts,
+    render_tile,
+};
 use scene::builtin;
 
 /// The answers of Woop, Möller-Trumbore and `f64`: hit or miss.
@@ -165,6 +169,33 @@ fn moller_finds_sixteen_at_a_time_what_it_finds_one_by_one() {
         }
     }
     assert!(hits > 500, "{hits} of 5000 rays hit the knot");
+}
+
+#[test]
+fn a_frame_of_moller_is_the_same_with_every_kernel_and_shows_what_its_rays_hit() {
+    let image = image(&builtin::knot(4000), 0.5, 4096);
+    let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+    let orbit = Orbit::around(&scene.header().view);
+    let place = OrbitPlace { radius: 0.75, elevation: 20.0, frame: 0, frames: 1 };
+    let frame = Frame::on_orbit(&orbit, &place, 32, 32).expect("a valid frame");
+    let frame = frame.with_triangle_test(TriangleTestKind::Moller);
+    let tile = Tiles::of(32, 32).get(TileId(0)).expect("the only one");
+    let mut hits = 0;
+    for pixel in 0..1024 {
+        let direction = frame.camera.direction(frame.camera.row(pixel / 32), pixel % 32);
+        let ray = Ray { origin: frame.camera.eye, direction, t_max: f32::INFINITY };
+        hits += u64::from(scene.nearest_by::<MollerRay, _>(&ray, &mut ()).expect("sound").is_some());
+    }
+    let draw = |kernel| {
+        let (mut pixels, mut work) = ([0; 1024], WorkCounts::default());
+        let counts = render_tile(&scene, &frame, tile, kernel, &mut pixels, &mut work);
+        (pixels, counts, work)
+    };
+    let first = draw(Kernel::rays());
+    assert!(first.1.hits == hits && hits > 200, "{:?}, {hits} rays hit", first.1);
+    for kernel in Kernel::available() {
+        assert_eq!(draw(kernel), first, "{kernel}");
+    }
 }
 
 #[test]

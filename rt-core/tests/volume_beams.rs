@@ -273,8 +273,7 @@ fn beams_read_hardly_more_pages_than_rays_need() {
             let scene = view(&image);
             let place = OrbitPlace { radius, elevation: 20.0, frame: 1, frames: 7 };
             draw(&scene, &on_orbit(&scene, &place, (200, 200), &[0.0]), kernel);
-            let pages = scene.memory().1.borrow().clone();
-            pages
+            scene.memory().1.borrow().clone()
         };
         let (by_rays, by_beams) = (pages(Kernel::Rays(Lanes::PORTABLE)), pages(Kernel::fastest()));
         let more = by_beams.difference(&by_rays).count();

@@ -10,6 +10,9 @@ use glam::{BVec4A, Vec4};
 use super::{LANES, Mask, Part, Simd, last_of_two, low_bits};
 
 /// Plain arrays.
+///
+/// Operations that become dozens of instructions are functions: inlined, they made the plain kernels more than half of all
+/// kernels' code, and that takes its time to compile.
 #[derive(Clone, Copy)]
 pub(super) struct Portable;
 
@@ -53,7 +56,7 @@ impl Simd for Portable {
         *from
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn load_le(self, from: &[[u8; 4]]) -> Self::F {
         let mut lanes = [0.0; LANES];
         lanes.iter_mut().zip(from).for_each(|(lane, &bytes)| *lane = f32::from_le_bytes(bytes));
@@ -100,7 +103,7 @@ impl Simd for Portable {
         a.map(f32::abs)
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn sqrt(self, a: Self::F) -> Self::F {
         a.map(libm::sqrtf)
     }
@@ -115,34 +118,34 @@ impl Simd for Portable {
         mask(a, b, Vec4::cmple)
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn select(self, mask: Mask, yes: Self::F, no: Self::F) -> Self::F {
         core::array::from_fn(|lane| if mask >> lane & 1 != 0 { yes[lane] } else { no[lane] })
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn least(self, a: Self::F) -> f32 {
         a.into_iter().fold(f32::INFINITY, |least, lane| if lane < least { lane } else { least })
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn gather<const N: usize>(self, table: &[f32; N], index: Self::I) -> Self::F {
         index.map(|index| table[(index & const { low_bits(N) }) as usize])
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn gather_pairs<const N: usize>(self, table: &[f32; N], index: Self::I) -> [Self::F; 2] {
         let index = index.map(|index| (index & const { low_bits(N) }).min(const { last_of_two(N) }) as usize);
         [index.map(|index| table[index]), index.map(|index| table[index + 1])]
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn pick_of_two(self, table: [Self::F; 2], index: Self::I) -> Self::F {
         let table = table.as_flattened();
         index.map(|index| table[(index & 31) as usize])
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn store_packed(self, mask: Mask, value: Self::F, to: &mut [f32; LANES]) {
         let mut count = 0;
         for (lane, value) in value.into_iter().enumerate() {
@@ -153,14 +156,14 @@ impl Simd for Portable {
         }
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn bytes(self, from: &[u8]) -> Self::I {
         let mut lanes = [0; LANES];
         lanes.iter_mut().zip(from).for_each(|(lane, &byte)| *lane = i32::from(byte));
         lanes
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn to_int(self, value: Self::F) -> Self::I {
         value.map(|value| value as i32)
     }
@@ -180,12 +183,12 @@ impl Simd for Portable {
         a.map(|a| a >> BITS)
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn widen(self, a: Self::F) -> Self::D {
         a.map(f64::from)
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn narrow(self, a: Self::D) -> Self::F {
         a.map(|a| a as f32)
     }
