@@ -38,8 +38,8 @@ pub(crate) struct Frames {
 
 const PAGE_BYTES: u32 = 16 << 10;
 
-/// Bytes of a tile's number and length.
-pub(crate) const HEAD_BYTES: u64 = 6;
+/// Bytes of a tile's number, counts and length.
+pub(crate) const HEAD_BYTES: u64 = 16;
 
 /// Bunny and dragon from near and far where they are, and else a knot.
 pub(crate) fn scenes(effort: Effort) -> Result<Vec<Scene>> {

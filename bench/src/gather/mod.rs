@@ -77,7 +77,7 @@ fn run(effort: Effort) -> Result<Findings> {
             charts.push(chart(&frames, amount)?);
         }
     }
-    bytes.note("as before: tiles that are as in the frame before travel as 6 bytes in all ways but raw");
+    bytes.note("as before: tiles that are as in the frame before travel as 16 bytes in all ways but raw");
     bytes.note("near: lz4 of what each pixel is off from its neighbours; delta: lz4 of the difference to the last frame");
     let (clusters, cluster_aims) = clusters::run(effort, amount)?;
     aims.extend(cluster_aims);
