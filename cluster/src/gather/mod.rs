@@ -10,7 +10,7 @@
 //! | `part` | the part of the picture that one display puts together |
 //!
 //! Rows of tiles go to the displays in turn, so each has its share of what is costly. A tile that is as it was in the last
-//! frame travels as its number alone: the node that drew it then knows, and the displays have it, since no frame begins
+//! frame travels without pixels: the node that drew it then knows, and the displays have it, since no frame begins
 //! before the one before it is whole. A tile that has changed hands travels whole, and so does every tile while a death
 //! may have had some drawn twice. What the displays put in place they note for the supervisor, who counts.
 
