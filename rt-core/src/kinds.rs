@@ -78,7 +78,7 @@ pub trait ForKinds {
     fn run<K: Kinds>(self) -> Self::Output;
 }
 
-/// Does `work` with the smallest instance that traces all that the scene needs.
+/// Does `work` with the smallest instance that traces all primitives that the scene needs.
 #[inline]
 pub fn dispatch<W: ForKinds>(needs: SceneNeeds, work: W) -> W::Output {
     match (needs.contains(SceneNeeds::TRIANGLES), needs.contains(SceneNeeds::SPHERES)) {
@@ -86,8 +86,6 @@ pub fn dispatch<W: ForKinds>(needs: SceneNeeds, work: W) -> W::Output {
         (true, true) => work.run::<AllKinds>(),
         #[cfg(all(feature = "triangles", feature = "spheres"))]
         (false, true) => work.run::<OnlySpheres>(),
-        #[cfg(all(feature = "volumes", any(feature = "triangles", feature = "spheres")))]
-        (false, false) => work.run::<NoKinds>(),
         #[cfg(feature = "triangles")]
         _ => work.run::<OnlyTriangles>(),
         #[cfg(all(feature = "spheres", not(feature = "triangles")))]
@@ -96,6 +94,18 @@ pub fn dispatch<W: ForKinds>(needs: SceneNeeds, work: W) -> W::Output {
         // The header was checked: the scene needs neither.
         _ => work.run::<NoKinds>(),
     }
+}
+
+/// The same beside a volume. Most have none; for the others one instance does, since kernels take long to compile.
+#[cfg(feature = "volumes")]
+#[inline]
+pub fn dispatch_beside_volume<W: ForKinds>(needs: SceneNeeds, work: W) -> W::Output {
+    #[cfg(any(feature = "triangles", feature = "spheres"))]
+    if needs.has_primitives() {
+        return work.run::<BuiltKinds>();
+    }
+    let _ = needs;
+    work.run::<NoKinds>()
 }
 
 #[cfg(not(any(feature = "triangles", feature = "spheres", feature = "volumes")))]

@@ -10,7 +10,7 @@ use crate::count::{Count, TileCounts};
 use crate::grid_ray::GridRay;
 use crate::isosurface::{Isosurfaces, single};
 use crate::kernel::Kernel;
-use crate::kinds::{ForKinds, Kinds, dispatch};
+use crate::kinds::{ForKinds, Kinds, dispatch_beside_volume};
 use crate::memory::SceneMemory;
 use crate::scale::Scale;
 use crate::shade::{self, ALBEDO, AMBIENT, LitPoint};
@@ -37,7 +37,10 @@ pub(crate) fn draw<M: SceneMemory, C: Count>(
         let rays = pixels.len() as u64;
         return TileCounts { primary: rays, damaged: rays, ..TileCounts::default() };
     };
-    dispatch(view.scene.header().needs, DrawTile { view, isosurfaces, tile, kernel, pixels, work })
+    dispatch_beside_volume(
+        view.scene.header().needs,
+        DrawTile { view, isosurfaces, tile, kernel, pixels, work },
+    )
 }
 
 /// A tile, and how to draw it.

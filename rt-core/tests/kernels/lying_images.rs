@@ -1,10 +1,8 @@
 //! Images whose segments lie: the kernel ends, within its bounds, without a panic.
 
-mod common;
-
 use core::cell::Cell;
 
-use common::{Dice, image};
+use crate::common::{Dice, image};
 use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::grid::{BRANCH_BYTES, Branch, LEAF_BYTES, Leaf};

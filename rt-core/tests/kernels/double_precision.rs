@@ -1,9 +1,7 @@
 //! The kernel against a different test of the mesh itself, in double precision: not the same bits, but the
 //! same answer wherever the answer does not hang on rounding.
 
-mod common;
-
-use common::{Dice, image};
+use crate::common::{Dice, image};
 use rt_core::{Flat, Ray, SceneView};
 use scene::{Mesh, builtin};
 

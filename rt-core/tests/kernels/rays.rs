@@ -1,8 +1,6 @@
 //! The ray kernel against brute force: the same bits for every ray.
 
-mod common;
-
-use common::{Dice, agree, image, meshes, on_circle, ray_plans, single};
+use crate::common::{Dice, agree, image, meshes, on_circle, ray_plans, single};
 use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::{Flat, Ray, SceneView, WorkCounts};

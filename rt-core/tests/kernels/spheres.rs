@@ -1,10 +1,8 @@
 //! Spheres, alone and among triangles: the grid against brute force, bit for bit, and the test itself against
 //! arithmetic of twice the precision.
 
-mod common;
-
-use common::models::{image_of, models};
-use common::{Dice, agree, single};
+use crate::common::models::{image_of, models};
+use crate::common::{Dice, agree, single};
 use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::scale::{Scale, exponent_of};

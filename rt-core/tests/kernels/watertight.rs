@@ -2,21 +2,19 @@
 //!
 //! Rays are aimed at random points of interior edges whose two triangles are turned to the eye the same way,
 //! and at vertices all of whose triangles are. A ray that has no hit there is judged by exact arithmetic
-//! ([`common::pass`]): it is a leak unless the exact ray meets nothing, or meets only what is closer to a
+//! ([`crate::common::pass`]): it is a leak unless the exact ray meets nothing, or meets only what is closer to a
 //! silhouette than the rounding of its corners.
 //!
 //! The meshes of other people need the folder that `MEMSAVVY_DATA` names; their test skips, and says so, when
 //! it is not set.
 
-mod common;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use common::pass::{Pass, judge};
-use common::surface::Surface;
-use common::target::{Aim, Tally, Target};
-use common::{Dice, image, on_circle, shapes, single};
+use crate::common::pass::{Pass, judge};
+use crate::common::surface::Surface;
+use crate::common::target::{Aim, Tally, Target};
+use crate::common::{Dice, image, on_circle, shapes, single};
 use glam::Vec3;
 use rt_core::{Flat, Ray, SceneView, brute};
 use scene::{Mesh, builtin, read_mesh};

@@ -1,9 +1,7 @@
 //! Beams against rays: the same bytes and counts for every tile, with all lanes.
 
-mod common;
-
-use common::models::{image_of, models};
-use common::{Dice, image, meshes};
+use crate::common::models::{image_of, models};
+use crate::common::{Dice, image, meshes};
 use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::camera::OrbitPlace;
@@ -81,7 +79,7 @@ fn sphereflakes_are_drawn_the_same() {
 #[test]
 fn real_meshes_are_drawn_the_same() {
     for name in ["bunny", "dragon"] {
-        let Some(path) = common::data(&format!("meshes/{name}.ply")) else { return };
+        let Some(path) = crate::common::data(&format!("meshes/{name}.ply")) else { return };
         let mesh = scene::read_mesh(&path).expect("a sound mesh");
         let image = image(&mesh, 0.5, 16 << 10);
         let scene = SceneView::new(Flat::new(&image)).expect("a valid image");

@@ -1,12 +1,10 @@
 //! Images of volumes: addresses beyond 32 bits, bytes that lie, pages that cannot be had, meshes in the same scene.
 
-mod common;
-
 use core::cell::Cell;
 use std::io::Cursor;
 
-use common::volume::{InMemory, view};
-use common::{Dice, single};
+use crate::common::volume::{InMemory, view};
+use crate::common::{Dice, single};
 use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::camera::OrbitPlace;

@@ -1,11 +1,9 @@
 //! The three triangle tests against each other and against exact arithmetic.
 
-mod common;
-
-use common::exact::side;
-use common::pass::{Pass, judge};
-use common::surface::{Side, Surface};
-use common::{Dice, image, shapes};
+use crate::common::exact::side;
+use crate::common::pass::{Pass, judge};
+use crate::common::surface::{Side, Surface};
+use crate::common::{Dice, image, shapes};
 use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::camera::OrbitPlace;

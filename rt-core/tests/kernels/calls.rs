@@ -1,8 +1,6 @@
 //! The calls beside `nearest` and `any`: packets and filters say what single rays say.
 
-mod common;
-
-use common::{agree, image, meshes, ray_plans};
+use crate::common::{agree, image, meshes, ray_plans};
 use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::camera::OrbitPlace;

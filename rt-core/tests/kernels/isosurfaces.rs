@@ -1,11 +1,9 @@
 //! Isosurfaces against the reference in double precision, in ordinary and in stiff cases.
 
-mod common;
-
 use core::cell::Cell;
 
-use common::volume::{InMemory, view};
-use common::{Dice, single};
+use crate::common::volume::{InMemory, view};
+use crate::common::{Dice, single};
 use glam::Vec3;
 use rt_core::isosurface_f64::Crossing;
 use rt_core::volume::VALUE_MAX;
@@ -222,7 +220,7 @@ fn tangent_rays_of_a_sphere_differ_by_the_rounding_of_the_tangent_point_alone() 
     for _ in 0..4000 {
         // Along x, a hair inside and outside of where the trilinear surface ends.
         let angle = dice.unit();
-        let [sin, cos] = common::on_circle(f64::from(angle));
+        let [sin, cos] = crate::common::on_circle(f64::from(angle));
         let radius = 10.0 - 0.02 + 0.03 * dice.unit();
         let ray = ray([-5.0, 16.0 + radius * sin, 16.0 + radius * cos], [1.0, 1.0e-3 * cos, -1.0e-3 * sin]);
         found.compare(&ball, &ray, 0.0, nearest(&scene, &ray, 0.0, Solver::MarmittNewton));
