@@ -16,7 +16,8 @@ impl Dice {
 
     /// A number in `0..bound`.
     pub(super) fn below(&mut self, bound: usize) -> usize {
-        (self.next() % bound.max(1) as u64) as usize
+        let below = self.next() % bound.max(1) as u64;
+        usize::try_from(below).unwrap_or(0)
     }
 
     /// A number in `0..1`.

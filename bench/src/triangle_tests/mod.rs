@@ -8,7 +8,7 @@ mod dice;
 mod exact;
 mod subject;
 
-use std::hint::black_box;
+use core::hint::black_box;
 use std::time::Instant;
 
 use anyhow::{Result, ensure};
