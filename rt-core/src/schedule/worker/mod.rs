@@ -229,7 +229,7 @@ impl<'s> Worker<'s> {
     /// Time has passed.
     pub fn handle_timeout(&mut self, now_us: u64) {
         let resend_us = self.config.resend_us;
-        for peer in self.peers.all.iter_mut() {
+        for peer in self.peers.all.iter_mut().filter(|peer| !peer.is_down) {
             self.has_mail |= peer.gift.expire(now_us, resend_us);
         }
         if self.unconfirmed > 0 && self.deliver_at_us <= now_us {
@@ -642,7 +642,8 @@ impl<'s> Worker<'s> {
 
     fn deadline(&self) -> Option<u64> {
         let resend_us = self.config.resend_us;
-        let gifts = self.peers.all.iter().filter_map(|peer| peer.gift.deadline(resend_us));
+        let up = self.peers.all.iter().filter(|peer| !peer.is_down);
+        let gifts = up.filter_map(|peer| peer.gift.deadline(resend_us));
         let tiles = (self.unconfirmed > 0).then_some(self.deliver_at_us);
         let question = self.asking.pending.map(|question| question.sent_us + resend_us);
         gifts.chain(tiles).chain(question).chain(self.asking.pause_until_us).min()
@@ -664,7 +665,9 @@ impl<'s> Worker<'s> {
     }
 
     fn next_to_peer(&mut self, now_us: u64) -> Option<(u16, Body)> {
-        let is_due = |peer: &PeerEntry| peer.owes_taken || peer.owes_nothing || peer.gift.is_due;
+        // The dead take nothing: what was given to one is dealt anew if it is missing.
+        let is_due =
+            |peer: &PeerEntry| !peer.is_down && (peer.owes_taken || peer.owes_nothing || peer.gift.is_due);
         let to = u16::try_from(self.peers.all.iter().position(is_due)?).ok()?;
         let (map, left_us, busiest) = (self.map(), self.left_us(), self.peers.busiest(to));
         let peer = &mut self.peers.all[usize::from(to)];

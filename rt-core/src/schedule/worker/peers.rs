@@ -26,7 +26,7 @@ pub struct PeerEntry {
     pub(super) ahead: Option<Stamp>,
     /// It has said that it has nothing, in this view.
     is_empty: bool,
-    is_down: bool,
+    pub(super) is_down: bool,
     left_us: u32,
     map: PageMap,
 }
