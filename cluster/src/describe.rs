@@ -1,12 +1,83 @@
-//! What a volume is, in words and bars.
+//! What a session, a trace, a scene image and a volume are, in words and bars.
 
 use rt_core::volume::{Volume, bricks_along};
+use scene::Info;
 use scene::volume::Histogram;
 
 use crate::report::thousands;
+use crate::session::{Moment, Session};
+use crate::size::Bytes;
+use crate::trace::Trace;
+
+/// What is in a session, one fact a line.
+pub(crate) fn describe_session(session: &Session) -> String {
+    let moments = session.moments();
+    let times: Vec<f64> = moments.iter().map(|moment| moment.time).collect();
+    let span = times[times.len() - 1] - times[0];
+    let shown = |moment: &Moment| match &moment.isosurfaces {
+        Some(surfaces) => surfaces.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "),
+        None => "as asked with --iso".to_owned(),
+    };
+    let [first, last] = [&moments[0], &moments[moments.len() - 1]];
+    let lines = [
+        ("moments", thousands(moments.len() as u64)),
+        ("seconds", format!("{span:.3}")),
+        ("eye", format!("{:.3?} to {:.3?} diagonals from the centre", first.aim.eye, last.aim.eye)),
+        ("isovalues", format!("{} to {}", shown(first), shown(last))),
+    ];
+    lines.iter().map(|(what, value)| format!("{what:>12}  {value}")).collect::<Vec<_>>().join("\n")
+}
+
+/// What is in a trace, one fact a line.
+pub(crate) fn describe_trace(trace: &Trace) -> String {
+    let [width, height] = trace.size;
+    let lines = [
+        ("frames", format!("{} of {width}x{height}", trace.frames.len())),
+        ("nodes", trace.nodes.to_string()),
+        ("pages", format!("{} of {}", thousands(trace.page_count.into()), Bytes(trace.page_bytes.into()))),
+        ("touched", format!("{} pages", thousands(trace.distinct_pages()))),
+        ("a frame", format!("{:.1} pages of a node", trace.pages_per_node_frame())),
+        ("a tile", format!("{:.1} pages", trace.pages_per_tile())),
+        ("touches", thousands(trace.touch_count())),
+    ];
+    lines.iter().map(|(what, value)| format!("{what:>12}  {value}")).collect::<Vec<_>>().join("\n")
+}
+
+/// What is in a scene image, one fact a line.
+pub(crate) fn describe(info: &Info) -> String {
+    let percent = |part: u64| 100.0 * part as f64 / info.image_bytes.max(1) as f64;
+    let mut lines = vec![
+        ("uses", info.needs.to_string()),
+        ("triangles", thousands(info.triangles)),
+        ("spheres", thousands(info.spheres)),
+        ("never hit", format!("{} with two corners in one point or no radius", thousands(info.collapsed))),
+        ("vertices", thousands(info.vertices)),
+        ("bounds", format!("{} to {}", info.bounds.low, info.bounds.high)),
+        ("view", format!("{} to {}", info.view.low, info.view.high)),
+        ("typical edge", format!("{}", info.typical_edge)),
+        ("image", Bytes(info.image_bytes).to_string()),
+        ("pages", format!("{} of {}", thousands(info.pages), Bytes(info.page_bytes.into()))),
+        ("a primitive", format!("{:.2} bytes", info.bytes_per_primitive)),
+        ("copies", format!("{:.3} stored for each primitive", info.duplication)),
+        ("levels", info.levels.to_string()),
+        ("branches", thousands(info.branches.into())),
+        ("leaves", thousands(info.leaves.into())),
+        (
+            "clusters",
+            format!("{} of {:.1} primitives", thousands(info.clusters.into()), info.primitives_per_cluster),
+        ),
+    ];
+    if let Some(volume) = &info.volume {
+        lines.extend(describe_volume(volume));
+    }
+    lines.extend(info.segments.map(|(kind, bytes)| {
+        ("", format!("{:8} {:>9} {:5.1} %", kind.to_string(), Bytes(bytes).to_string(), percent(bytes)))
+    }));
+    lines.iter().map(|(what, value)| format!("{what:>12}  {value}")).collect::<Vec<_>>().join("\n")
+}
 
 /// Facts about a volume: what, and how much.
-pub(crate) fn describe_volume(volume: &Volume) -> [(&'static str, String); 4] {
+fn describe_volume(volume: &Volume) -> [(&'static str, String); 4] {
     let [x, y, z] = volume.dims;
     let values = [volume.low, volume.high].map(|sample| volume.value(sample));
     let bricks = volume.dims.map(|count| u64::from(bricks_along(count))).into_iter().product();

@@ -228,6 +228,7 @@ fn replay(
     let bar = FrameBar::new(options.quiet, options.session.count());
     let (start, mut frames, mut drawn) = (Instant::now(), Vec::new(), None);
     while let Some(Step { moment, wait }) = options.replay.next(&options.session, drawn, start.elapsed()) {
+        // Only `--replay time` waits: the next moment of the session has not come.
         thread::sleep(wait);
         // Nodes count frames, not moments: no number is left out.
         let frame = Frame { number: u32::try_from(frames.len())?, ..moments[moment] };
