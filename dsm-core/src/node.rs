@@ -432,8 +432,14 @@ impl<'s, R: Replacement> Node<'s, R> {
         let elapsed_us = now.since(since);
         let now = self.clock.advance(now);
         let Some(state) = self.table.state(page) else { return Fault::Failed(Failure::NoSuchPage) };
-        if state == PageState::Absent && (self.table.free_count() == 0 || self.requests.is_full()) {
-            return self.answer_full(elapsed_us);
+        if state == PageState::Absent {
+            // Who waited for a slot all this time begins no request that would have to be given up at once.
+            if elapsed_us >= self.config.deadline_us {
+                return Fault::Failed(Failure::NoSlot);
+            }
+            if self.table.free_count() == 0 || self.requests.is_full() {
+                return self.answer_full();
+            }
         }
         match self.apply(page, PageEvent::Fault) {
             Effect::SendRequest => {
@@ -460,10 +466,7 @@ impl<'s, R: Replacement> Node<'s, R> {
     }
 
     /// No slot is free, or no request is: make a slot free, unless some are becoming free already.
-    fn answer_full(&mut self, elapsed_us: u64) -> Fault {
-        if elapsed_us >= self.config.deadline_us {
-            return Fault::Failed(Failure::NoSlot);
-        }
+    fn answer_full(&mut self) -> Fault {
         if self.table.free_count() == 0 && self.table.leaving_count() == 0 {
             self.evict();
         }

@@ -16,7 +16,7 @@ pub struct RequestEntry {
     /// The copy that is being asked.
     pub(crate) holder: NodeId,
     pub(crate) port: PortId,
-    /// Sendings so far, 255 at most.
+    /// Sendings so far, 255 at most. Those of before anybody waited for the page do not count: they may all be lost.
     pub(crate) sendings: u8,
     /// Of those, sendings to `holder` since it was its turn.
     pub(crate) tries: u8,

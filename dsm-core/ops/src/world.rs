@@ -276,10 +276,13 @@ impl World {
             for page in (0..u32::from(self.setup.pages)).map(PageId) {
                 if self.members[node].is_alive && self.can_be_had(node, page) {
                     let failed = self.failed;
+                    let is_asked_ahead = self.state(node, page) == Some(PageState::Requested);
                     self.fault(node, 0, page, None);
                     self.come_to_rest();
-                    assert_eq!(
-                        self.failed, failed,
+                    // Who has left that one without an answer for long enough is dead before anybody asks again.
+                    let is_buried = is_asked_ahead && !self.is_trusted(node, page);
+                    assert!(
+                        self.failed == failed || is_buried,
                         "SURVIVES: node {node} cannot have {page}, which has a live copy"
                     );
                 }
@@ -289,12 +292,20 @@ impl World {
 
     /// Whether some live node holds `page`, of which this one does not think as dead, and the page has not failed here.
     fn can_be_had(&mut self, node: usize, page: PageId) -> bool {
-        let owners: Vec<NodeId> = self.members[node].config.placement.holders(page).as_slice().to_vec();
-        let believes = owners.iter().any(|owner| {
+        self.is_trusted(node, page) && self.state(node, page) != Some(PageState::Failed)
+    }
+
+    /// Whether some live node holds `page`, of which this one does not think as dead.
+    fn is_trusted(&self, node: usize, page: PageId) -> bool {
+        let member = &self.members[node];
+        member.config.placement.holders(page).as_slice().iter().any(|owner| {
             let Member { is_alive, incarnation, .. } = self.members[owner.index()];
-            is_alive && self.members[node].oracle.asks(*owner, incarnation)
-        });
-        believes && self.members[node].with_node(|node| node.table().state(page) != Some(PageState::Failed))
+            is_alive && member.oracle.asks(*owner, incarnation)
+        })
+    }
+
+    fn state(&mut self, node: usize, page: PageId) -> Option<PageState> {
+        self.members[node].with_node(|node| node.table().state(page))
     }
 
     fn fault(&mut self, node: usize, thread: usize, page: PageId, again: Option<Wait>) {
@@ -384,7 +395,8 @@ impl World {
                 && self.setup.neighbours == 0
                 && !self.setup.is_rigid
             {
-                let left_us = DEADLINE_US.saturating_sub(now.since(wait.world_since));
+                let in_us = if wait.is_ahead && !wait.is_missed { DEADLINE_US / 2 } else { DEADLINE_US };
+                let left_us = in_us.saturating_sub(now.since(wait.world_since));
                 let round = u64::from(self.setup.replicas) * u64::from(self.setup.tries);
                 member.oracle.note_interval(message.page, next.since(now), left_us / (round + 1));
             }

@@ -49,7 +49,8 @@ impl<R: Replacement> Node<'_, R> {
             if let Some(slot) = self.table.slot(page) {
                 self.table.slots_mut()[slot.index()].prefetched = Some(foretold);
             }
-            self.begin_request(now, page, port, 0);
+            // Given up in half the time, it leaves who waits for its slot or its request the other half.
+            self.begin_request(now, page, port, self.config.deadline_us / 2);
         }
         true
     }
@@ -84,15 +85,23 @@ impl<R: Replacement> Node<'_, R> {
     }
 
     /// A thread waits for a page that is on its way, by a fault that is `elapsed_us` old. If it was asked for ahead, its
-    /// deadline counts from that fault.
+    /// deadline counts from that fault, and so do the sendings that must fit in before.
     pub(super) fn wait_for(&mut self, now: Instant, page: PageId, elapsed_us: u64) {
         if !self.is_in_doubt(page) {
             return;
         }
         self.table.slot(page).into_iter().for_each(|slot| self.judge(slot, true));
-        let deadline = now.after(self.config.deadline_us.saturating_sub(elapsed_us));
-        let request = self.requests.iter_mut().find(|request| request.page == page);
-        request.into_iter().for_each(|request| request.deadline = deadline);
+        let left_us = self.config.deadline_us.saturating_sub(elapsed_us);
+        let share_us = left_us / (self.config.round() + 1);
+        let holders = self.config.placement.holders(page);
+        if let Some(request) = self.requests.iter_mut().find(|request| request.page == page) {
+            request.deadline = now.after(left_us);
+            request.resend_at = request.resend_at.min(now.after(share_us));
+            request.sendings = 0;
+            // Who was asked earlier may be back; the one that is being asked has its turn.
+            let place = holders.as_slice().iter().position(|holder| *holder == request.holder);
+            request.asked = place.map_or(0, |place| 1 << place);
+        }
     }
 
     /// A page that was asked for ahead does not come, and nobody has missed it.

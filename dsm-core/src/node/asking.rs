@@ -88,7 +88,7 @@ impl<R: Replacement> Node<'_, R> {
     /// Asks the copy whose turn it is, or gives up: for `failure`, or because all who hold it are dead.
     fn ask_next(&mut self, now: Instant, index: usize, failure: Option<Failure>) {
         let request = self.requests.get_mut(index);
-        let RequestEntry { page, holder: last, sendings, .. } = *request;
+        let RequestEntry { page, holder: last, asked, .. } = *request;
         let Some((place, holder)) = self.choose(index) else {
             self.requests.remove(index);
             self.fail(page, failure.unwrap_or(Failure::Dead { last }));
@@ -98,7 +98,7 @@ impl<R: Replacement> Node<'_, R> {
         request.asked |= 1 << place;
         request.holder = holder;
         request.tries = 0;
-        if sendings > 0 {
+        if asked != 0 {
             self.stats.resends += 1;
             self.stats.failovers += u64::from(holder != last);
         }
@@ -111,7 +111,7 @@ impl<R: Replacement> Node<'_, R> {
     fn choose(&mut self, index: usize) -> Option<(usize, NodeId)> {
         let request = self.requests.get_mut(index);
         let home = self.config.placement.home(request.page)?;
-        let is_first = request.sendings == 0;
+        let is_first = request.asked == 0;
         if mutants::is_on(Mutant::NeverFailOver) || is_first && self.membership.is_even() {
             return Some((0, home));
         }
@@ -163,8 +163,7 @@ impl<R: Replacement> Node<'_, R> {
     /// deadline. A slow peer, or one whose round trip was taken wrong, must not keep the others from being asked.
     pub(super) fn share_us(&mut self, now: Instant, index: usize) -> u64 {
         let RequestEntry { sendings, deadline, .. } = *self.requests.get_mut(index);
-        let round = u64::from(self.config.placement.replicas()) * u64::from(self.config.tries);
-        match round.saturating_sub(u64::from(sendings)) {
+        match self.config.round().saturating_sub(u64::from(sendings)) {
             0 => u64::MAX,
             left => deadline.since(now) / (left + 1),
         }

@@ -128,6 +128,11 @@ impl Config {
         }
     }
 
+    /// Sendings that must fit in before a fault is given up: each copy is asked as often as it may be.
+    pub(super) const fn round(&self) -> u64 {
+        self.placement.replicas() as u64 * self.tries as u64
+    }
+
     pub(super) const fn limits(&self) -> Limits {
         Limits { first_us: self.resend_us, min_us: self.resend_us_min, max_us: self.resend_us_max }
     }
