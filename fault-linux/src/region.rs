@@ -26,6 +26,7 @@ use crate::sys::{self, Errno};
 pub struct Region {
     kind: Kind,
     choice: Choice,
+    holds_all: bool,
     /// A bit for each port in use.
     ports: [AtomicU64; PORTS / 64],
     pid: u32,
@@ -107,11 +108,13 @@ impl Region {
             }
             None => None,
         };
+        let placement = &setup.node.placement;
+        let holds_all = slot_count >= placement.page_count() - placement.held_pages(setup.node.me);
         let (policy, reference) = ((setup.policy, setup.seed), backend.reference(setup.reference));
         let hidden_max = backend.hidden_max(reference, slot_count, setup.hidden_per_cent);
         let node = node::Config { hidden_max, ..setup.node };
         let paging = Paging::new(area, backend, home, node, slot_count, policy, (reference, setup.prefetch));
-        Self::assemble(Kind::Paged(Box::new(paging.map_err(RegionError::Config)?)), choice)
+        Self::assemble(Kind::Paged(Box::new(paging.map_err(RegionError::Config)?)), choice, holds_all)
     }
 
     /// Maps a whole image: the replicated baseline. Nothing faults, and no node has to be asked.
@@ -131,15 +134,15 @@ impl Region {
         // SAFETY: the area was just made; the caller vouches for the file.
         unsafe { sys::map_file_over(area.start(), area.bytes(), image.as_raw_fd(), 0) }.map_err(failed)?;
         let choice = Choice { used: BackendKind::Replicated, declined: Vec::new(), slots_withheld: 0 };
-        Self::assemble(Kind::Replicated(area), choice)
+        Self::assemble(Kind::Replicated(area), choice, true)
     }
 
-    fn assemble(kind: Kind, choice: Choice) -> Result<Arc<Self>, RegionError> {
+    fn assemble(kind: Kind, choice: Choice, holds_all: bool) -> Result<Arc<Self>, RegionError> {
         let area = kind.area();
         let start = area.start().addr();
         let listed = Listed::new(start, start + area.bytes()).ok_or(RegionError::TooMany)?;
         let ports = [const { AtomicU64::new(0) }; PORTS / 64];
-        Ok(Arc::new(Self { kind, choice, ports, pid: sys::pid(), _listed: listed }))
+        Ok(Arc::new(Self { kind, choice, holds_all, ports, pid: sys::pid(), _listed: listed }))
     }
 
     /// The backend in use, and why not others.
@@ -152,6 +155,12 @@ impl Region {
     #[must_use]
     pub fn stats(&self) -> NodeStats {
         self.paging().map(Paging::stats).unwrap_or_default()
+    }
+
+    /// Whether every page has a place here, so that none is missed twice.
+    #[must_use]
+    pub const fn holds_all(&self) -> bool {
+        self.holds_all
     }
 
     /// Slots there are, after what the backend withholds; 0 when everything is mapped.

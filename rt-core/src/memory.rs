@@ -25,6 +25,12 @@ pub trait SceneMemory {
     /// Length of the image in bytes.
     fn length(&self) -> u64;
 
+    /// Whether reading a record takes no time to speak of. If not, kernels look twice whether they need it.
+    #[inline]
+    fn is_at_hand(&self, _offset: u64, _length: usize) -> bool {
+        true
+    }
+
     /// Says that a record will be read soon. Changes nothing, and does not wait.
     #[inline]
     fn prefetch(&self, _offset: u64, _length: usize) {}

@@ -167,8 +167,7 @@ impl<M: SceneMemory> SceneView<M> {
         if index >= self.header.branches {
             return Err(damaged);
         }
-        let offset = self.header.segments.branches.offset + u64::from(index) * BRANCH_BYTES as u64;
-        let record = self.memory.record(offset, BRANCH_BYTES).ok_or(damaged)?;
+        let record = self.memory.record(self.offset_of_branch(index), BRANCH_BYTES).ok_or(damaged)?;
         bytemuck::try_pod_read_unaligned(&record).map_err(|_| damaged)
     }
 
@@ -182,8 +181,7 @@ impl<M: SceneMemory> SceneView<M> {
         if index >= self.header.leaves {
             return Err(damaged);
         }
-        let offset = self.header.segments.leaves.offset + u64::from(index) * LEAF_BYTES as u64;
-        let record = self.memory.record(offset, LEAF_BYTES).ok_or(damaged)?;
+        let record = self.memory.record(self.offset_of_leaf(index), LEAF_BYTES).ok_or(damaged)?;
         bytemuck::try_pod_read_unaligned(&record).map_err(|_| damaged)
     }
 
@@ -313,15 +311,61 @@ impl<M: SceneMemory> SceneView<M> {
     /// Tells the memory that a cluster will be read soon.
     #[inline]
     pub(crate) fn prefetch_cluster(&self, place: &ClusterRef) {
-        let length = crate::cluster::cluster_bytes(place.vertices, place.triangles);
-        self.memory.prefetch(self.header.segments.clusters.offset.saturating_add(place.offset), length);
+        let (offset, length) = self.bytes_of_cluster(place);
+        self.memory.prefetch(offset, length);
     }
 
     /// The same for a cluster of spheres.
     #[inline]
     pub(crate) fn prefetch_spheres(&self, place: &SpheresRef) {
+        let (offset, length) = self.bytes_of_spheres(place);
+        self.memory.prefetch(offset, length);
+    }
+
+    /// Whether reading a branch takes no time to speak of.
+    #[inline]
+    pub(crate) fn has_branch_at_hand(&self, index: u32) -> bool {
+        self.memory.is_at_hand(self.offset_of_branch(index), BRANCH_BYTES)
+    }
+
+    /// Whether reading a leaf takes no time to speak of.
+    #[inline]
+    pub(crate) fn has_leaf_at_hand(&self, index: u32) -> bool {
+        self.memory.is_at_hand(self.offset_of_leaf(index), LEAF_BYTES)
+    }
+
+    /// Whether reading a cluster takes no time to speak of.
+    #[inline]
+    pub(crate) fn has_cluster_at_hand(&self, place: &ClusterRef) -> bool {
+        let (offset, length) = self.bytes_of_cluster(place);
+        self.memory.is_at_hand(offset, length)
+    }
+
+    /// The same for a cluster of spheres.
+    #[inline]
+    pub(crate) fn has_spheres_at_hand(&self, place: &SpheresRef) -> bool {
+        let (offset, length) = self.bytes_of_spheres(place);
+        self.memory.is_at_hand(offset, length)
+    }
+
+    const fn offset_of_branch(&self, index: u32) -> u64 {
+        self.header.segments.branches.offset + index as u64 * BRANCH_BYTES as u64
+    }
+
+    const fn offset_of_leaf(&self, index: u32) -> u64 {
+        self.header.segments.leaves.offset + index as u64 * LEAF_BYTES as u64
+    }
+
+    /// Where a cluster lies, and its length.
+    const fn bytes_of_cluster(&self, place: &ClusterRef) -> (u64, usize) {
+        let length = crate::cluster::cluster_bytes(place.vertices, place.triangles);
+        (self.header.segments.clusters.offset.saturating_add(place.offset), length)
+    }
+
+    /// The same for a cluster of spheres.
+    const fn bytes_of_spheres(&self, place: &SpheresRef) -> (u64, usize) {
         let length = crate::sphere::spheres_bytes(place.count);
-        self.memory.prefetch(self.header.segments.clusters.offset.saturating_add(place.offset), length);
+        (self.header.segments.clusters.offset.saturating_add(place.offset), length)
     }
 }
 

@@ -17,6 +17,34 @@ pub(super) struct Boxes<F> {
     pub(super) near: F,
 }
 
+/// One box, as the eye sees it: its middle from there, and halves of its edges, with some margin.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SeenBox {
+    pub(super) centre: [f32; 3],
+    pub(super) half: [f32; 3],
+}
+
+impl SeenBox {
+    /// The lanes whose rays from the eye meet the box, and that no later than at one over `least`.
+    ///
+    /// A line along `d` through the eye misses a box around `c` when its distance from the middle, looked at along one of
+    /// the axes, is more than the box reaches. It enters the slab of an axis where it has gone `(c d - h |d|) / d^2`.
+    #[inline(always)]
+    pub(super) fn met_by<S: Simd>(&self, s: S, d: [S::F; 3], least: S::F) -> Mask {
+        let (c, h) = (each!(3: self.centre, at => s.splat(at)), each!(3: self.half, at => s.splat(at)));
+        let size = each!(3: d, along => s.abs(along));
+        let met = each!(3: [(0, 1), (1, 2), (2, 0)], (i, j) => {
+            let aside = s.abs(s.sub(s.mul(d[i], c[j]), s.mul(d[j], c[i])));
+            s.le(aside, s.add(s.mul(h[i], size[j]), s.mul(h[j], size[i])))
+        });
+        let in_time = each!(3: [0, 1, 2], axis => {
+            let gone = s.sub(s.mul(c[axis], d[axis]), s.mul(h[axis], size[axis]));
+            s.le(s.mul(gone, least), s.mul(d[axis], d[axis]))
+        });
+        met[0] & met[1] & met[2] & in_time[0] & in_time[1] & in_time[2]
+    }
+}
+
 impl Projection {
     /// Where the boxes around `centre`, given from the eye, show that reach as far as `half` each way.
     ///

@@ -18,6 +18,12 @@
 //! or to another surface is left to the ray. What is stored in many cells is tested once a tile. So are large triangles, such
 //! as a ground, in space instead of on the plane ([`far_triangles`]).
 //!
+//! # What may be far away
+//! A page may have to be fetched. So before a record of a page that is not [at hand](SceneMemory::is_at_hand) is read, all
+//! that is nearer is tested, and then each ray is asked whether it meets the box ([`boxes`]); and clusters on such pages wait
+//! longer than others ([`far_queue`]). So beams read hardly more pages than rays do. Where all is at hand nothing of this is
+//! compiled in.
+//!
 //! # What keeps it fast
 //! Each step has full lanes and few branches that cannot be foretold: candidates are packed together before the next
 //! step looks at them. A wrong guess of a branch costs as much as testing sixteen triangles.
@@ -40,6 +46,7 @@
 
 mod boxes;
 mod edges;
+mod far_queue;
 mod far_triangles;
 mod frustum;
 mod pixel_tests;

@@ -2,11 +2,13 @@
 
 use glam::Vec3;
 
+use super::boxes::SeenBox;
 use super::edges::Covered;
 use super::far_triangles::FarSeen;
 use super::pixel_tests::Lists;
 use super::projection::Projection;
 use super::spheres::{Mailbox, spheres_of};
+use super::surface::directions;
 use super::triangles::{Bounds, Corners, Triangles};
 use super::walk::Targets;
 use super::winners::Winners;
@@ -349,9 +351,9 @@ impl<S: Simd, M: SceneMemory, K: Kinds> Targets<S> for Pixels<'_, M, K> {
         self.least
     }
 
-    /// Whether there is a pixel within the bounds that shows nothing nearer.
+    /// Whether there is a pixel within the bounds that shows nothing nearer, and whose ray meets the box.
     #[inline(always)]
-    fn wants(&mut self, s: S, bounds: &Bounds) -> bool {
+    fn wants(&mut self, s: S, bounds: &Bounds, seen: Option<&SeenBox>) -> bool {
         let near = s.splat(bounds.near);
         let mut waiting = 0;
         for (quarter, blocks) in self.waiting_lanes(s).into_iter().enumerate() {
@@ -367,7 +369,12 @@ impl<S: Simd, M: SceneMemory, K: Kinds> Targets<S> for Pixels<'_, M, K> {
             let (x, y) =
                 (s.add(s.load(&COLUMNS), s.splat(x as f32)), s.add(s.load(&ROWS), s.splat(y as f32)));
             let within = s.le(left, x) & s.le(x, right) & s.le(top, y) & s.le(y, bottom);
-            if within & self.present[block] & s.le(s.load(&self.blocks[block].low), near) != 0 {
+            let low = s.load(&self.blocks[block].low);
+            let mut open = within & self.present[block] & s.le(low, near);
+            if let Some(seen) = seen {
+                open &= seen.met_by(s, directions(s, self.camera, self.tile, block), low);
+            }
+            if open != 0 {
                 return true;
             }
         }

@@ -1,5 +1,6 @@
 //! Clusters that wait to be tested, the nearest first.
 
+use super::boxes::SeenBox;
 use super::triangles::Bounds;
 use crate::grid::ClusterRef;
 use crate::simd::{LANES, Simd};
@@ -12,18 +13,20 @@ pub(super) struct Queue<F> {
     count: usize,
 }
 
-/// A cluster whose box shows.
+/// A cluster, and how its box shows.
 #[derive(Clone, Copy)]
 pub(super) struct Waiting {
     pub(super) place: ClusterRef,
     pub(super) bounds: Bounds,
+    pub(super) seen: SeenBox,
 }
 
 impl<F: Copy> Queue<F> {
     pub(super) fn new<S: Simd<F = F>>(s: S) -> Self {
         let place = ClusterRef::NONE;
         let bounds = Bounds { left: 0.0, right: 0.0, top: 0.0, bottom: 0.0, near: 0.0 };
-        Self { waiting: [Waiting { place, bounds }; LANES], near: s.splat(-1.0), count: 0 }
+        let seen = SeenBox { centre: [0.0; 3], half: [0.0; 3] };
+        Self { waiting: [Waiting { place, bounds, seen }; LANES], near: s.splat(-1.0), count: 0 }
     }
 
     pub(super) const fn is_full(&self) -> bool {
@@ -38,6 +41,12 @@ impl<F: Copy> Queue<F> {
         self.waiting[place] = next;
         self.near = s.select(1 << place, s.splat(next.bounds.near), self.near);
         self.count += 1;
+    }
+
+    /// Takes the nearest away if it is nearer than an inverse depth of `near`.
+    #[inline(always)]
+    pub(super) fn take_nearer<S: Simd<F = F>>(&mut self, s: S, near: f32) -> Option<Waiting> {
+        if s.lt(s.splat(near), self.near) == 0 { None } else { self.take_nearest(s) }
     }
 
     /// Takes the nearest away.

@@ -8,6 +8,7 @@
 
 use glam::Vec3;
 
+use super::boxes::SeenBox;
 use super::edges::Extent;
 use super::pixel_tests::pack;
 use super::points::{POINTS_MAX, Points};
@@ -96,10 +97,10 @@ impl<S: Simd> Targets<S> for Shadows<'_> {
         self.samples.least(s)
     }
 
-    /// Whether there is an open sample within the bounds.
+    /// Whether there is an open sample within the bounds, and the box between it and the light.
     #[inline(always)]
-    fn wants(&mut self, s: S, bounds: &Bounds) -> bool {
-        self.samples.wants(s, bounds)
+    fn wants(&mut self, s: S, bounds: &Bounds, seen: Option<&SeenBox>) -> bool {
+        self.samples.wants(s, bounds, seen)
     }
 
     #[inline(always)]

@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 
+use super::boxes::SeenBox;
 use super::far_triangles::FarSeen;
 use super::points::{POINTS_MAX, Points, chunk};
 use super::projection::{Projected, Projection};
@@ -156,6 +157,13 @@ impl<'a> Samples<'a> {
         self.points.load(s, group * LANES)
     }
 
+    /// The ways from the light to the samples of a group.
+    #[inline(always)]
+    fn ways_from_light<S: Simd>(&self, s: S, group: usize) -> [S::F; 3] {
+        let (points, light) = (self.points_of_group(s, group), s.splat3(self.light));
+        each!(3: [0, 1, 2], axis => s.sub(points[axis], light[axis]))
+    }
+
     /// The points that samples are, by number.
     #[inline(always)]
     pub(super) fn points_numbered<S: Simd>(&self, s: S, numbers: S::I) -> [S::F; 3] {
@@ -236,15 +244,19 @@ impl Samples<'_> {
         groups
     }
 
-    /// Whether there is an open sample within the bounds.
+    /// Whether there is an open sample within the bounds, and the box between it and the light.
     #[inline(always)]
-    pub(super) fn wants<S: Simd>(&self, s: S, bounds: &Bounds) -> bool {
+    pub(super) fn wants<S: Simd>(&self, s: S, bounds: &Bounds, seen: Option<&SeenBox>) -> bool {
         let mut groups = self.interest(s, bounds);
         while groups != 0 {
             let group = groups.trailing_zeros() as usize % GROUPS;
             groups &= groups - 1;
             let places = self.group(s, group);
-            if Around::of(s, bounds).reaches(s, &[places; 2]) != 0 {
+            let mut open = Around::of(s, bounds).reaches(s, &[places; 2]);
+            if let Some(seen) = seen {
+                open &= seen.met_by(s, self.ways_from_light(s, group), s.splat(1.0));
+            }
+            if open != 0 {
                 return true;
             }
         }

@@ -1,9 +1,13 @@
 //! The walk of a beam through the grid, front to back.
 
+mod far;
+
 use core::marker::PhantomData;
 
 use glam::Vec3;
 
+use super::boxes::SeenBox;
+use super::far_queue::FarQueue;
 use super::frustum::Frustum;
 use super::projection::Projection;
 use super::queue::{Queue, Waiting};
@@ -26,8 +30,8 @@ pub(super) trait Targets<S: Simd> {
     /// What has a smaller inverse depth than this does not matter; infinite when nothing matters any more.
     fn least(&mut self, s: S) -> f32;
 
-    /// Whether anything within these bounds may matter.
-    fn wants(&mut self, s: S, bounds: &Bounds) -> bool;
+    /// Whether anything within these bounds may matter; with the box that shows there, whether anything within that.
+    fn wants(&mut self, s: S, bounds: &Bounds, seen: Option<&SeenBox>) -> bool;
 
     /// Tests the triangles of a cluster.
     fn test(&mut self, s: S, triangles: &Triangles<'_, S>);
@@ -66,13 +70,11 @@ pub(super) fn walk<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>>(
         corner: Vec3::ZERO,
         frame,
     };
-    let (queue, kinds) = (Queue::new(s), PhantomData);
-    let mut walk = Walk::<S, M, C, K, T> { s, scene, beam, targets, count, budget, leaves, queue, kinds };
+    let (queue, far_queue, kinds) = (Queue::new(s), FarQueue::new(), PhantomData);
+    let mut walk =
+        Walk::<S, M, C, K, T> { s, scene, beam, targets, count, budget, leaves, queue, far_queue, kinds };
     walk.run()?;
-    while let Some(next) = walk.queue.take_nearest(s) {
-        walk.visit(&next)?;
-    }
-    Ok(())
+    walk.visit_nearer(f32::NEG_INFINITY)
 }
 
 /// A walk under way.
@@ -85,6 +87,7 @@ struct Walk<'a, S: Simd, M, C, K, T> {
     budget: Budget,
     leaves: Leaves,
     queue: Queue<S::F>,
+    far_queue: FarQueue,
     kinds: PhantomData<K>,
 }
 
@@ -129,10 +132,10 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, 
             let cell = visit.left.trailing_zeros() ^ flip;
             visit.left &= visit.left - 1;
             let corner = visit.corner + Vec3::from(cell_coordinates(cell).map(|i| i as f32)) * visit.cell;
-            if !self.may_enter(corner, visit.cell) {
+            let child = visit.branch.child_of(cell).ok_or(Damaged::Branch(u32::MAX))?;
+            if !self.may_enter(corner, visit.cell, self.scene.has_branch_at_hand(child))? {
                 continue;
             }
-            let child = visit.branch.child_of(cell).ok_or(Damaged::Branch(u32::MAX))?;
             above[depth] = visit;
             depth += 1;
             if depth >= grid.levels as usize {
@@ -142,16 +145,22 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, 
         }
     }
 
-    /// Whether anything in a cell may matter.
+    /// Whether anything in a cell may matter. If what it leads to may be far away, a closer look is taken.
     #[inline(always)]
-    fn may_enter(&mut self, corner: Vec3, cell: f32) -> bool {
+    fn may_enter(&mut self, corner: Vec3, cell: f32, is_at_hand: bool) -> Result<bool, Damaged> {
         let half = cell * 0.5;
-        let centre = self.s.splat3(corner + half - self.beam.projection.eye);
-        let half = [self.s.splat(half + self.beam.frustum.cell_pad); 3];
+        let centre = (corner + half - self.beam.projection.eye).to_array();
+        let seen = SeenBox { centre, half: [half + self.beam.frustum.cell_pad; 3] };
+        let [centre, half] =
+            each!(2: [seen.centre, seen.half], ends => each!(3: ends, end => self.s.splat(end)));
         let boxes = self.beam.projection.boxes(self.s, centre, half);
+        let bounds = boxes.by_lane(self.s).of(0);
+        if !is_at_hand {
+            self.visit_nearer(bounds.near)?;
+        }
         let least = self.targets.least(self.s);
-        self.beam.projection.shows(self.s, &boxes, least) != 0
-            && self.targets.wants(self.s, &boxes.by_lane(self.s).of(0))
+        Ok(self.beam.projection.shows(self.s, &boxes, least) != 0
+            && self.targets.wants(self.s, &bounds, (!is_at_hand).then_some(&seen)))
     }
 
     /// Reads a branch, culls its cells, and has the clusters of its leaves wait.
@@ -167,9 +176,13 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, 
         self.leaves.frame = BoxFrame::new(cell, self.scene.header().grid.slack);
         let mut runs = entered & !branch.inner;
         while runs != 0 {
-            let cell = runs.trailing_zeros();
-            runs &= !branch.cells_of_run(cell) & (runs - 1);
-            self.gather(branch.leaf_of(cell).ok_or(Damaged::Leaf(u32::MAX))?)?;
+            let first = runs.trailing_zeros();
+            let run = runs & branch.cells_of_run(first);
+            runs &= !run;
+            let leaf = branch.leaf_of(first).ok_or(Damaged::Leaf(u32::MAX))?;
+            if self.scene.has_leaf_at_hand(leaf) || self.may_enter_any(corner, cell, run)? {
+                self.gather(leaf)?;
+            }
         }
         self.sift()?;
         Ok(Visit { branch, corner, cell, left: flip_cells(entered & branch.inner, frustum.flip) })
@@ -221,10 +234,17 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, 
         let least = self.targets.least(self.s);
         let mut left = self.beam.projection.shows(self.s, &boxes, least) & lanes;
         let bounds = boxes.by_lane(self.s);
+        let (centre, half) =
+            (each!(3: centre, at => self.s.array(at)), each!(3: half, at => self.s.array(at)));
         while left != 0 {
             let lane = left.trailing_zeros() as usize;
             left &= left - 1;
-            self.enqueue(Waiting { place: self.leaves.clusters[lane], bounds: bounds.of(lane) })?;
+            let seen = SeenBox {
+                centre: each!(3: [0, 1, 2], axis => centre[axis][lane]),
+                half: each!(3: [0, 1, 2], axis => half[axis][lane]),
+            };
+            let place = self.leaves.clusters[lane];
+            self.enqueue(Waiting { place, bounds: bounds.of(lane), seen })?;
         }
         Ok(())
     }
@@ -232,6 +252,9 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, 
     /// Has a cluster wait, and visits the nearest if there is no room.
     #[inline(always)]
     fn enqueue(&mut self, next: Waiting) -> Result<(), Damaged> {
+        if !self.has_at_hand(&next.place) {
+            return self.enqueue_far(next);
+        }
         if self.queue.is_full()
             && let Some(nearest) = self.queue.take_nearest(self.s)
         {
@@ -245,10 +268,20 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, 
         Ok(())
     }
 
-    /// Tests a cluster, unless by now it does not matter. Only here its page is touched.
     #[inline(always)]
-    fn visit(&mut self, Waiting { place, bounds }: &Waiting) -> Result<(), Damaged> {
-        if !self.targets.wants(self.s, bounds) {
+    fn has_at_hand(&self, place: &ClusterRef) -> bool {
+        match spheres_of::<K>(place) {
+            Some(place) => self.scene.has_spheres_at_hand(&place),
+            None => self.scene.has_cluster_at_hand(place),
+        }
+    }
+
+    /// Tests a cluster, unless by now it does not matter. Only here its page is touched; if that may be far away, it is
+    /// looked at more closely whether it matters.
+    #[inline(always)]
+    fn visit(&mut self, Waiting { place, bounds, seen }: &Waiting) -> Result<(), Damaged> {
+        let seen = (!self.has_at_hand(place)).then_some(seen);
+        if !self.targets.wants(self.s, bounds, seen) {
             return Ok(());
         }
         if let Some(place) = spheres_of::<K>(place) {

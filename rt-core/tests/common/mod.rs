@@ -2,6 +2,7 @@
 #![allow(dead_code, unreachable_pub, reason = "every test binary uses a part")]
 
 pub mod allocations;
+pub mod drawing;
 pub mod exact;
 pub mod models;
 pub mod pass;
@@ -10,6 +11,7 @@ pub mod shapes;
 pub mod surface;
 pub mod target;
 pub mod volume;
+pub mod watched;
 
 use glam::Vec3;
 use proptest::prelude::*;

@@ -1,45 +1,15 @@
 //! Beams against rays: the same bytes and counts for every tile, with all lanes.
 
+use crate::common::drawing::{agree_on_pictures as agree, draw};
 use crate::common::models::{image_of, models};
+use crate::common::watched::{Watched, watched};
 use crate::common::{Dice, image, meshes};
 use glam::Vec3;
 use proptest::prelude::*;
 use rt_core::camera::OrbitPlace;
 use rt_core::sphere::Sphere;
-use rt_core::{Bounds, Flat, Frame, Kernel, Lanes, Orbit, SceneView, TileCounts, Tiles, render_tile};
+use rt_core::{Bounds, Frame, Kernel, Lanes, Orbit, SceneView};
 use scene::{Model, builtin};
-
-/// A picture and what was counted.
-type Drawn = (Vec<u8>, TileCounts);
-
-fn draw(scene: &SceneView<Flat<'_>>, frame: &Frame, kernel: Kernel) -> Vec<Drawn> {
-    let tiles = Tiles::of(frame.width, frame.height);
-    let one = |id| {
-        let tile = tiles.get(id).expect("below the count");
-        let mut pixels = vec![0; tile.pixels()];
-        let counts = render_tile(scene, frame, tile, kernel, &mut pixels, &mut ());
-        (pixels, counts)
-    };
-    tiles.ids().map(one).collect()
-}
-
-/// Asserts that all kernels draw the same, and gives back what was counted.
-fn agree(scene: &SceneView<Flat<'_>>, frame: &Frame, what: &str) -> TileCounts {
-    let by_rays = draw(scene, frame, Kernel::Rays(Lanes::PORTABLE));
-    for kernel in Kernel::available() {
-        let drawn = draw(scene, frame, kernel);
-        for (tile, (found, expected)) in drawn.iter().zip(&by_rays).enumerate() {
-            let differ = (0..found.0.len()).filter(|&at| found.0[at] != expected.0[at]).count();
-            assert!(
-                differ == 0 && found.1 == expected.1,
-                "{what}: tile {tile} by {kernel} has {differ} other pixels\n{:?}\n{:?}",
-                found.1,
-                expected.1
-            );
-        }
-    }
-    by_rays.iter().fold(TileCounts::default(), |sum, (_, counts)| sum + *counts)
-}
 
 fn on_orbit(bounds: &Bounds, place: &OrbitPlace, width: u32, height: u32) -> Frame {
     Frame::on_orbit(&Orbit::around(bounds), place, width, height).expect("a frame")
@@ -49,7 +19,7 @@ fn on_orbit(bounds: &Bounds, place: &OrbitPlace, width: u32, height: u32) -> Fra
 fn a_knot_is_drawn_the_same_from_everywhere() {
     for (triangles, slack) in [(2000, 0.5), (40_000, 0.5), (40_000, 0.0), (300_000, 0.5)] {
         let image = image(&builtin::knot(triangles), slack, 16 << 10);
-        let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+        let scene = watched(&image);
         let mut hits = 0;
         for (frame, radius) in [(0, 1.5), (1, 0.75), (2, 0.3), (3, 0.1), (4, 0.02), (5, 40.0), (6, 1.0)] {
             let place = OrbitPlace { radius, elevation: f64::from(frame) * 15.0 - 40.0, frame, frames: 7 };
@@ -62,10 +32,11 @@ fn a_knot_is_drawn_the_same_from_everywhere() {
 
 #[test]
 fn sphereflakes_are_drawn_the_same() {
-    for depth in [2, 4, 5] {
+    // The last has 597,871 spheres.
+    for depth in [2, 4, 6] {
         let model = builtin::sphereflake(depth);
         let image = image_of(&model, 0.5, 16 << 10);
-        let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+        let scene = watched(&image);
         let mut hits = 0;
         for (frame, radius) in [(0, 1.5), (1, 0.75), (2, 0.3), (3, 0.1), (4, 0.02), (5, 40.0), (6, 1.0)] {
             let place = OrbitPlace { radius, elevation: f64::from(frame) * 15.0 - 40.0, frame, frames: 7 };
@@ -82,7 +53,7 @@ fn real_meshes_are_drawn_the_same() {
         let Some(path) = crate::common::data(&format!("meshes/{name}.ply")) else { return };
         let mesh = scene::read_mesh(&path).expect("a sound mesh");
         let image = image(&mesh, 0.5, 16 << 10);
-        let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+        let scene = watched(&image);
         for (frame, radius) in [(0, 1.5), (3, 0.75)] {
             let place = OrbitPlace { radius, elevation: 0.0, frame, frames: 8 };
             let frame = on_orbit(&scene.header().bounds, &place, 512, 512);
@@ -93,7 +64,7 @@ fn real_meshes_are_drawn_the_same() {
 }
 
 /// A camera somewhere around or in the scene, looking anywhere, with a light anywhere.
-fn any_frame(scene: &SceneView<Flat<'_>>, dice: &mut Dice, size: u32) -> Option<Frame> {
+fn any_frame(scene: &SceneView<Watched<'_>>, dice: &mut Dice, size: u32) -> Option<Frame> {
     let bounds = scene.header().bounds;
     let place = OrbitPlace {
         radius: [0.02, 0.2, 0.6, 1.5, 30.0, 3000.0][dice.below(6)],
@@ -126,7 +97,7 @@ proptest! {
         seed: u64,
     ) {
         let image = image(&mesh, slack, 4096);
-        let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+        let scene = watched(&image);
         let mut dice = Dice(seed);
         for _ in 0..4 {
             if let Some(frame) = any_frame(&scene, &mut dice, 40) {
@@ -146,7 +117,7 @@ proptest! {
         seed: u64,
     ) {
         let image = image_of(&model, slack, 4096);
-        let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+        let scene = watched(&image);
         let mut dice = Dice(seed);
         for _ in 0..4 {
             if let Some(frame) = any_frame(&scene, &mut dice, 40) {
@@ -167,7 +138,7 @@ fn many_spheres_in_one_place_are_drawn_the_same() {
         Sphere { centre, radius: radii[number % 7] }
     }));
     let image = image_of(&Model::from(spheres), 0.5, 4096);
-    let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+    let scene = watched(&image);
     let bounds = scene.header().bounds;
     let mut hits = 0;
     for (frame, radius) in [(0, 1.5), (1, 0.1), (2, 0.02), (3, 0.025), (4, 0.012), (5, 0.001), (6, 20.0)] {
@@ -183,7 +154,7 @@ fn many_spheres_in_one_place_are_drawn_the_same() {
 #[test]
 fn frames_that_no_camera_makes_are_drawn_the_same() {
     let image = image(&builtin::knot(3000), 0.5, 4096);
-    let scene = SceneView::new(Flat::new(&image)).expect("a valid image");
+    let scene = watched(&image);
     let sound = on_orbit(
         &scene.header().bounds,
         &OrbitPlace { radius: 1.0, elevation: 5.0, frame: 0, frames: 1 },
@@ -207,4 +178,23 @@ fn frames_that_no_camera_makes_are_drawn_the_same() {
         .map(|frame| agree(&scene, &Frame { flags: Frame::NO_SHADOWS, ..*frame }, "no shadows").shadow)
         .sum();
     assert_eq!(all, 0);
+}
+
+#[test]
+fn beams_read_hardly_more_pages_than_rays() {
+    let image = image(&builtin::knot(300_000), 0.5, 4096);
+    let scene = watched(&image);
+    for (frame, radius) in [(0, 1.5), (1, 0.75), (2, 0.4)] {
+        let place = OrbitPlace { radius, elevation: 20.0, frame, frames: 7 };
+        let frame = on_orbit(&scene.header().bounds, &place, 256, 256);
+        let pages = |kernel: Kernel, is_far: bool| {
+            scene.memory().forget(is_far);
+            draw(&scene, &frame, kernel);
+            scene.memory().read()
+        };
+        let by_rays = pages(Kernel::Rays(Lanes::PORTABLE), true);
+        let [far, at_hand] = [true, false].map(|is_far| pages(Kernel::fastest(), is_far));
+        println!("from {radius}: {by_rays} pages by rays, {far} by beams, {at_hand} with all at hand");
+        assert!(by_rays > 500 && far * 100 <= 105 * by_rays && far < at_hand, "{by_rays} {far} {at_hand}");
+    }
 }

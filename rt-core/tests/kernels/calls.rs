@@ -1,5 +1,6 @@
 //! The calls beside `nearest` and `any`: packets and filters say what single rays say.
 
+use crate::common::watched::{self, watched};
 use crate::common::{agree, image, meshes, ray_plans};
 use glam::Vec3;
 use proptest::prelude::*;
@@ -154,46 +155,29 @@ fn rays_that_go_the_same_way_read_less_together() {
     assert!(together.clusters * 4 <= alone.clusters, "{together:?} {alone:?}");
 }
 
-/// An image whose ids cannot be read.
-#[derive(Debug)]
-struct WithoutIds<'a>(Flat<'a>, core::ops::Range<u64>);
-
-impl SceneMemory for WithoutIds<'_> {
-    type Record<'a>
-        = &'a [u8]
-    where
-        Self: 'a;
-
-    fn record(&self, offset: u64, length: usize) -> Option<&[u8]> {
-        assert!(!self.1.contains(&offset), "an id was read");
-        self.0.record(offset, length)
-    }
-
-    fn length(&self) -> u64 {
-        self.0.length()
-    }
-}
-
 #[test]
 fn no_kernel_reads_ids() {
     let image = image(&builtin::knot(5000), 0.5, 4096);
-    let ids = SceneView::new(Flat::new(&image)).expect("a valid image").header().segments.ids;
-    let memory = WithoutIds(Flat::new(&image), ids.offset..ids.offset + ids.bytes);
-    let scene = SceneView::new(memory).expect("a valid image");
+    let scene = watched(&image);
+    let ids = scene.header().segments.ids;
+    assert!(ids.offset.is_multiple_of(watched::PAGE_BYTES as u64), "ids begin with a page");
+    let mut work = WorkCounts::default();
     let ray = Ray { origin: [3.0, 0.1, 9.0].into(), direction: [0.0, 0.0, -1.0].into(), t_max: 100.0 };
-    let hit = scene.nearest(&ray, &mut ()).expect("sound").expect("the rope");
-    let place = scene.nearest_place(&ray, &mut ()).expect("sound").expect("the rope");
+    let hit = scene.nearest(&ray, &mut work).expect("sound").expect("the rope");
+    let place = scene.nearest_place(&ray, &mut work).expect("sound").expect("the rope");
     assert_eq!((place.t, place.u, place.v, place.primitive), (hit.t, hit.u, hit.v, hit.primitive));
-    assert_eq!(scene.any(&ray, &mut ()), Ok(true));
-    assert_eq!(scene.nearest16(&Packet16::pack(&[ray; 16]).0, 1, &mut ()).expect("sound").mask, 1);
+    assert_eq!(scene.any(&ray, &mut work), Ok(true));
+    assert_eq!(scene.nearest16(&Packet16::pack(&[ray; 16]).0, 1, &mut work).expect("sound").mask, 1);
     let orbit = Orbit::around(&scene.header().view);
     let place = OrbitPlace { radius: 0.75, elevation: 20.0, frame: 0, frames: 1 };
     let frame = Frame::on_orbit(&orbit, &place, 32, 32).expect("a valid frame");
     let tile = Tiles::of(32, 32).get(TileId(0)).expect("the only one");
     for kernel in Kernel::available() {
-        let counts = render_tile(&scene, &frame, tile, kernel, &mut [0; 1024], &mut ());
+        let counts = render_tile(&scene, &frame, tile, kernel, &mut [0; 1024], &mut work);
         assert!(counts.hits > 100 && counts.damaged == 0, "{kernel}: {counts:?}");
     }
+    assert!(scene.memory().read() > 3);
+    assert_eq!(scene.memory().read_in(ids.offset..ids.offset + ids.bytes), 0, "an id was read");
 }
 
 #[test]
