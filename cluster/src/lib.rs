@@ -46,7 +46,6 @@ mod isovalue;
 mod link;
 mod loss;
 mod node;
-pub mod noted;
 mod output;
 mod painter;
 mod picture;

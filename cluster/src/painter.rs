@@ -5,14 +5,16 @@ use std::sync::Arc;
 use anyhow::{Context, Result};
 use dsm_core::placement::Stripes;
 use fault_linux::{Attached, BackendKind, Record, Region, ThreadStats};
-use rt_core::{Flat, Kernel, SceneMemory, SceneView, TILE_SIZE, Tiles, render_tile};
+use kernels::Draw;
+use kernels::noted::{Noted, Notes};
+use kernels::pinned::{Pinned, Pins};
+use rt_core::{Flat, Kernel, SceneMemory, SceneView, TILE_SIZE, Tiles};
 
 use crate::balance::{Balance, Task};
 use crate::control::News;
 use crate::diagnostic::{FactBatch, Probe, Wants};
 use crate::gather::{Outlets, Sender};
 use crate::link::Link;
-use crate::noted::{Noted, Notes};
 use crate::ports::Port;
 
 /// What a render thread needs.
@@ -32,7 +34,7 @@ pub(crate) struct Painter {
     pub(crate) placement: Stripes,
 }
 
-/// A scene of which every access goes through a table: the `soft` backend.
+/// The `soft` backend of one thread, as memory.
 #[derive(Clone, Copy, Debug)]
 struct Slotted<'a> {
     attached: &'a Attached<Port>,
@@ -45,7 +47,8 @@ impl Painter {
         let Self { region, port, link, outlets, balance, image_bytes, kernel, batch_tiles, wants, placement } =
             self;
         let attached = region.attach(port)?;
-        let notes = Notes::new(u32::try_from(region.page_bytes())?, image_bytes);
+        let notes =
+            Notes::new(u32::try_from(region.page_bytes())?, image_bytes).with_misses(!region.holds_all());
         let canvas = Canvas {
             attached: &attached,
             notes: &notes,
@@ -58,7 +61,7 @@ impl Painter {
             placement,
         };
         if region.choice().used == BackendKind::Soft {
-            canvas.draw_all(Slotted { attached: &attached, length: image_bytes })?;
+            canvas.draw_all(Pinned(&Slotted { attached: &attached, length: image_bytes }))?;
         } else {
             let bytes = attached.bytes();
             // Behind the image's end lies only what fills the last page.
@@ -83,7 +86,10 @@ struct Canvas<'a> {
 }
 
 impl Canvas<'_> {
-    fn draw_all<M: SceneMemory + Copy>(&self, memory: M) -> Result<()> {
+    fn draw_all<'m, M: SceneMemory + Copy + 'm>(&'m self, memory: M) -> Result<()>
+    where
+        Noted<'m, M>: Draw,
+    {
         let scene = SceneView::new(Noted::new(memory, self.notes));
         // A header of zeros is what a page that could not be had looks like; that failure comes first.
         self.attached.check()?;
@@ -112,7 +118,7 @@ impl Canvas<'_> {
     }
 
     /// Draws one tile and hands it to the sender, if anybody still wants it.
-    fn draw<M: SceneMemory, N: SceneMemory>(
+    fn draw<M: Draw, N: SceneMemory>(
         &self,
         scene: &SceneView<M>,
         task: &Task,
@@ -126,7 +132,7 @@ impl Canvas<'_> {
         let pixels = &mut pixels[..tile.pixels()];
         self.attached.begin_tile(id.0);
         probe.begin_tile(|| self.attached.misses());
-        let counts = render_tile(scene, frame, tile, self.kernel, pixels, &mut ());
+        let counts = Draw::render_tile(scene, frame, tile, self.kernel, pixels);
         let facts = probe.end_tile(frame, (id, tile), || self.attached.misses());
         let mut is_wanted = Ok(false);
         self.notes.take(|pages| {
@@ -158,13 +164,7 @@ impl Canvas<'_> {
     }
 }
 
-impl SceneMemory for Slotted<'_> {
-    type Record<'a>
-        = Record<'a>
-    where
-        Self: 'a;
-
-    #[inline]
+impl Pins for Slotted<'_> {
     fn record(&self, offset: u64, length: usize) -> Option<Record<'_>> {
         self.attached.record(offset, length)
     }

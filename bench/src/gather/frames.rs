@@ -1,8 +1,9 @@
 //! The frames of a camera, cut into tiles.
 
 use anyhow::Result;
+use kernels::Draw;
 use memsavvy::session::{Path, Session, Way};
-use rt_core::{Flat, Frame, Kernel, Orbit, SceneView, TILE_SIZE, Tiles, render_tile};
+use rt_core::{Flat, Frame, Kernel, Orbit, SceneView, TILE_SIZE, Tiles};
 use scene::{BuildOptions, Model, build, builtin, read_mesh};
 
 use super::Amount;
@@ -153,7 +154,7 @@ fn draw(scene: &SceneView<Flat<'_>>, frame: &Frame) -> Vec<u8> {
     let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
     for tile in tiles.ids().filter_map(|id| tiles.get(id)) {
         let pixels = &mut pixels[..tile.pixels()];
-        render_tile(scene, frame, tile, kernel, pixels, &mut ());
+        Draw::render_tile(scene, frame, tile, kernel, pixels);
         for (y, line) in (tile.y as usize..).zip(pixels.chunks_exact(tile.width as usize)) {
             let start = y * row + tile.x as usize;
             picture[start..start + line.len()].copy_from_slice(line);

@@ -7,8 +7,9 @@ use core::cell::Cell as Place;
 use std::collections::BTreeSet;
 
 use anyhow::{Context, Result, ensure};
-use memsavvy::noted::{Noted, Notes};
-use rt_core::{Flat, Frame, Ray, SceneMemory, SceneView, TILE_SIZE, TileCounts, Tiles, render_tile};
+use kernels::Draw;
+use kernels::noted::{Noted, Notes};
+use rt_core::{Flat, Frame, Ray, SceneMemory, SceneView, TILE_SIZE, TileCounts, Tiles};
 
 use super::{Amount, RADIUS, Stand};
 use crate::findings::Aim;
@@ -68,7 +69,7 @@ fn touched(image: &[u8], page_bytes: u32, frame: &Frame) -> Result<Vec<u64>> {
     let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
     let mut counts = TileCounts::default();
     for tile in tiles.ids().filter_map(|id| tiles.get(id)) {
-        counts += render_tile(&scene, frame, tile, kernel, &mut pixels[..tile.pixels()], &mut ());
+        counts += Draw::render_tile(&scene, frame, tile, kernel, &mut pixels[..tile.pixels()]);
     }
     ensure!(counts.damaged == 0 && counts.hits > 0, "{counts:?}");
     let mut touched = Vec::new();

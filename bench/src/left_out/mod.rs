@@ -11,11 +11,10 @@ mod program;
 use std::time::Instant;
 
 use anyhow::{Result, ensure};
-use memsavvy::noted::{Noted, Notes};
+use kernels::Draw;
+use kernels::noted::{Noted, Notes};
 use rt_core::camera::OrbitPlace;
-use rt_core::{
-    Flat, Frame, Kernel, Orbit, SceneMemory, SceneNeeds, SceneView, TILE_SIZE, Tiles, render_tile,
-};
+use rt_core::{Flat, Frame, Kernel, Orbit, SceneMemory, SceneNeeds, SceneView, TILE_SIZE, Tiles};
 use scene::{BuildOptions, Model, build, builtin, read_mesh};
 
 use crate::data;
@@ -162,13 +161,13 @@ fn pages_touched(image: &[u8], frame: &Frame, way: &Way) -> Result<u64> {
 }
 
 /// Draws a picture with the fastest kernel; a sum of its bytes by place.
-fn draw<M: SceneMemory>(scene: &SceneView<M>, frame: &Frame) -> u64 {
+fn draw<M: Draw>(scene: &SceneView<M>, frame: &Frame) -> u64 {
     let (tiles, kernel) = (Tiles::of(frame.width, frame.height), Kernel::fastest());
     let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
     let mut sum = 0_u64;
     for tile in tiles.ids().filter_map(|id| tiles.get(id)) {
         let pixels = &mut pixels[..tile.pixels()];
-        render_tile(scene, frame, tile, kernel, pixels, &mut ());
+        Draw::render_tile(scene, frame, tile, kernel, pixels);
         sum = pixels.iter().fold(sum, |sum, &grey| sum.wrapping_mul(31).wrapping_add(u64::from(grey)));
     }
     sum

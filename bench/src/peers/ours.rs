@@ -1,7 +1,8 @@
 //! Our side: the kernels, and drawing whole pictures with them.
 
 use anyhow::{Result, ensure};
-use rt_core::{Flat, Frame, SceneView, TILE_SIZE, TileCounts, Tiles, render_tile};
+use kernels::Draw;
+use rt_core::{Flat, Frame, SceneView, TILE_SIZE, TileCounts, Tiles};
 
 use super::drawn::Drawn;
 use super::level::Level;
@@ -74,7 +75,7 @@ impl Kernel {
         let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
         for tile in tiles.ids().filter_map(|id| tiles.get(id)) {
             let pixels = &mut pixels[..tile.pixels()];
-            counts += render_tile(scene, frame, tile, self.0, pixels, &mut ());
+            counts += Draw::render_tile(scene, frame, tile, self.0, pixels);
             for (y, row) in (tile.y..).zip(pixels.chunks_exact(tile.width as usize)) {
                 let start = y as usize * frame.width as usize + tile.x as usize;
                 picture[start..start + row.len()].copy_from_slice(row);

@@ -5,10 +5,11 @@ use dsm_core::id::PageId;
 use dsm_core::page_sets::{PageSetStorage, PageSets, SetEntry, TileEntry};
 use dsm_core::replacement::{Policy, PolicyKind, Replay};
 use dsm_core::storage::SlotEntry;
-use memsavvy::noted::{Noted, Notes};
+use kernels::Draw;
+use kernels::noted::{Noted, Notes};
 use rt_core::camera::OrbitPlace;
 use rt_core::schedule::Static;
-use rt_core::{Flat, Frame, Kernel, Orbit, SceneMemory, SceneView, TILE_SIZE, TileId, Tiles, render_tile};
+use rt_core::{Flat, Frame, Kernel, Orbit, SceneView, TILE_SIZE, TileId, Tiles};
 use rustix::time::{ClockId, clock_gettime};
 use scene::{BuildOptions, Mesh, build, builtin, read_mesh};
 
@@ -65,7 +66,8 @@ struct Cost {
 }
 
 fn compare(bytes: &[u8], effort: Effort) -> Result<Cost> {
-    let notes = Notes::new(PAGE_BYTES, bytes.len() as u64);
+    // So that the kernel reads the same with and without.
+    let notes = Notes::new(PAGE_BYTES, bytes.len() as u64).with_misses(false);
     let plain = SceneView::new(Flat::new(bytes))?;
     let noted = SceneView::new(Noted::new(Flat::new(bytes), &notes))?;
     let size = effort.pick(512, 96);
@@ -96,7 +98,7 @@ struct Drawn {
     ms: f64,
 }
 
-fn draw<M: SceneMemory>(scene: &SceneView<M>, frame: &Frame, mut after: impl FnMut(TileId)) -> Drawn {
+fn draw<M: Draw>(scene: &SceneView<M>, frame: &Frame, mut after: impl FnMut(TileId)) -> Drawn {
     let tiles = Tiles::of(frame.width, frame.height);
     let mut picture = Vec::with_capacity(frame.width as usize * frame.height as usize);
     let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
@@ -104,7 +106,7 @@ fn draw<M: SceneMemory>(scene: &SceneView<M>, frame: &Frame, mut after: impl FnM
     let start = processor_ms();
     for id in Static::new(tiles, 1).drawing_order(0, frame.number) {
         let Some(tile) = tiles.get(id) else { continue };
-        render_tile(scene, frame, tile, kernel, &mut pixels[..tile.pixels()], &mut ());
+        Draw::render_tile(scene, frame, tile, kernel, &mut pixels[..tile.pixels()]);
         picture.extend_from_slice(&pixels[..tile.pixels()]);
         after(id);
     }

@@ -5,12 +5,13 @@ use std::os::fd::OwnedFd;
 use std::os::unix::fs::FileExt;
 
 use anyhow::{Context, Result, bail};
+use kernels::Draw;
+use kernels::noted::{Noted, Notes};
 use rt_core::schedule::Static;
-use rt_core::{Flat, Frame, Kernel, SceneView, Solver, TILE_SIZE, Tiles, render_tile};
+use rt_core::{Flat, Frame, Kernel, SceneView, Solver, TILE_SIZE, Tiles};
 
 use super::{NodeFrame, Trace};
 use crate::isovalue::Surfaces;
-use crate::noted::{Noted, Notes};
 use crate::progress::FrameBar;
 use crate::run::{Source, Surface};
 use crate::session::Session;
@@ -57,7 +58,7 @@ pub fn record(options: &Options) -> Result<Trace> {
         .with_context(|| format!("cannot hold {name} in memory"))?;
     let page_bytes = options.page_bytes.unwrap_or(header.page_bytes);
     let page_count = u32::try_from(header.image_bytes.div_ceil(page_bytes.into()))?;
-    let notes = Notes::of_every_touch(page_bytes);
+    let notes = Notes::of_every_touch(page_bytes, header.image_bytes);
     let scene = SceneView::new(Noted::new(Flat::new(&bytes), &notes))?;
     // The header is read once in a session, not in a tile.
     notes.take(|_| ());
@@ -85,7 +86,7 @@ impl Options {
         let mut drawn = NodeFrame::default();
         for id in Static::new(tiles, self.nodes.into()).drawing_order(node.into(), frame.number) {
             let Some(tile) = tiles.get(id) else { continue };
-            render_tile(scene, frame, tile, kernel, &mut pixels[..tile.pixels()], &mut ());
+            Draw::render_tile(scene, frame, tile, kernel, &mut pixels[..tile.pixels()]);
             notes.take(|pages| drawn.push(id, &pages.iter().map(|page| page.0).collect::<Vec<_>>()));
         }
         drawn

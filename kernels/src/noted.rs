@@ -11,9 +11,11 @@ pub struct Notes {
     page_shift: u32,
     /// The page of the last record, `u64::MAX` before the first.
     last: Cell<u64>,
-    /// A bit for each page that is in `pages`; none where every touch counts.
+    /// A bit for each page that is in `pages`.
     seen: Vec<Cell<u64>>,
     is_once: bool,
+    /// Pages that are not in `pages` may have to be fetched.
+    may_miss: bool,
     pages: RefCell<Vec<PageId>>,
 }
 
@@ -37,22 +39,31 @@ impl Notes {
             last: Cell::new(u64::MAX),
             seen: vec![Cell::new(0); words],
             is_once: true,
+            may_miss: true,
             pages: RefCell::new(Vec::new()),
         }
     }
 
     /// Notes every touch: a page is there again each time it is used after another.
     #[must_use]
-    pub fn of_every_touch(page_bytes: u32) -> Self {
-        Self { is_once: false, ..Self::new(page_bytes, 0) }
+    pub fn of_every_touch(page_bytes: u32, image_bytes: u64) -> Self {
+        Self { is_once: false, ..Self::new(page_bytes, image_bytes) }
+    }
+
+    /// Says whether pages may have to be fetched; otherwise kernels need not look twice whether they have to read.
+    #[must_use]
+    pub fn with_misses(self, may_miss: bool) -> Self {
+        Self { may_miss, ..self }
     }
 
     /// Gives the pages that were used since the last call to `use_pages`, in the order of their (first) use.
     pub fn take(&self, use_pages: impl FnOnce(&[PageId])) {
         let mut pages = self.pages.borrow_mut();
         use_pages(&pages);
-        for page in pages.drain(..).filter(|_| self.is_once) {
-            self.seen[page.index() / 64].set(0);
+        for page in pages.drain(..) {
+            if let Some(word) = self.seen.get(page.index() / 64) {
+                word.set(0);
+            }
         }
         self.last.set(u64::MAX);
     }
@@ -65,16 +76,24 @@ impl Notes {
         }
     }
 
+    /// Whether the page at `offset` is here: one of its records has been used since the pages were taken.
+    #[inline]
+    fn holds(&self, offset: u64) -> bool {
+        if !self.may_miss {
+            return true;
+        }
+        let page = offset >> self.page_shift;
+        let word = usize::try_from(page / 64).ok().and_then(|word| self.seen.get(word));
+        word.is_some_and(|word| word.get() >> (page % 64) & 1 != 0)
+    }
+
     #[inline(never)]
     fn note(&self, page: u64) {
         self.last.set(page);
         let Ok(number) = u32::try_from(page) else { return };
-        if !self.is_once {
-            return self.pages.borrow_mut().push(PageId(number));
-        }
         let Some(word) = self.seen.get(PageId(number).index() / 64) else { return };
         let bit = 1 << (page % 64);
-        if word.get() & bit == 0 {
+        if !self.is_once || word.get() & bit == 0 {
             word.set(word.get() | bit);
             self.pages.borrow_mut().push(PageId(number));
         }
@@ -104,6 +123,12 @@ impl<M: SceneMemory> SceneMemory for Noted<'_, M> {
 
     fn length(&self) -> u64 {
         self.memory.length()
+    }
+
+    /// The first record of a page may cost a miss, and the page a slot. Others of the same tile do not.
+    #[inline]
+    fn is_at_hand(&self, offset: u64, _length: usize) -> bool {
+        self.notes.holds(offset)
     }
 
     #[inline]
@@ -139,9 +164,23 @@ mod tests {
     }
 
     #[test]
+    fn a_page_is_at_hand_once_it_was_used_or_where_none_is_missed() {
+        let bytes = vec![0; 8 * 4096];
+        for may_miss in [true, false] {
+            let notes = Notes::new(4096, 8 * 4096).with_misses(may_miss);
+            let memory = Noted::new(Flat::new(&bytes), &notes);
+            assert_eq!(memory.is_at_hand(5 * 4096, 16), !may_miss);
+            assert!(memory.record(5 * 4096 + 64, 16).is_some());
+            assert!(memory.is_at_hand(5 * 4096, 16));
+            notes.take(|_| ());
+            assert_eq!([5, 9].map(|page| memory.is_at_hand(page * 4096, 16)), [!may_miss; 2]);
+        }
+    }
+
+    #[test]
     fn every_touch_is_noted_where_every_one_counts() {
         let bytes = vec![0; 8 * 4096];
-        let notes = Notes::of_every_touch(4096);
+        let notes = Notes::of_every_touch(4096, 8 * 4096);
         let memory = Noted::new(Flat::new(&bytes), &notes);
         for page in [3, 3, 5, 3] {
             assert!(memory.record(page * 4096, 16).is_some());
