@@ -1,6 +1,6 @@
 //! Balancing at scale and in its stiff cases: counts in virtual time.
 
-use dsm_sim::balance::{Case, Config, Memory, Report, run};
+use dsm_sim::balance::{Case, Config, Costs, Gather, Memory, Report, run};
 use dsm_sim::cluster::{Checks, Ended};
 use dsm_sim::fault::{Chances, Faults};
 use dsm_sim::time::{Moment, ms};
@@ -99,4 +99,38 @@ fn no_stiff_case_costs_more_than_static_by_more_than_its_margin() {
 fn the_same_seed_makes_the_same_run() {
     let config = Config::new(8, Balancer::StealNear);
     assert_eq!(draw(&config, Case::Steady), draw(&config, Case::Steady));
+}
+
+#[test]
+fn displays_take_every_tile_in_parcels_and_never_more_than_credit_allows() {
+    let costs = Costs {
+        tile_out: 0,
+        parcel_out: 100,
+        parcel_in: 1_000,
+        tile_in: 10,
+        message_out: 200,
+        message_in: 50,
+    };
+    // A parcel holds three tiles, and a node may have two parcels under way.
+    let gather =
+        Gather { displays: 3, parcel_bytes: 3 * 1040 + 4, window_bytes: 7_000, ..Gather::new(costs) };
+    for balancer in Balancer::ALL {
+        let config = Config { gather: Some(gather), threads: 2, ..Config::new(4, balancer) };
+        for frame in draw(&config, Case::Steady).frames {
+            let talk = frame.talk;
+            assert!(talk.parcels >= 256 / 3 && talk.parcels <= 256, "{balancer}: {talk:?}");
+            assert_eq!(talk.bytes, 256 * 1040 + 4 * talk.parcels, "{balancer}");
+            let least = 256 * costs.tile_in + talk.parcels * costs.parcel_in;
+            let taken = talk.sum() - talk.supervisor;
+            assert!(
+                taken >= least && taken <= least + talk.parcels * costs.message_out,
+                "{balancer}: {talk:?}"
+            );
+            assert!(
+                talk.supervisor >= 4 * (2 * costs.message_out + costs.message_in),
+                "{balancer}: {talk:?}"
+            );
+            assert_eq!(frame.begun, 256, "DRAWN_ONCE: {balancer}");
+        }
+    }
 }

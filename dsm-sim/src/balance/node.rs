@@ -6,6 +6,7 @@ use rt_core::schedule::message::{Body, MESSAGE_BYTES_MAX};
 use rt_core::schedule::worker::{Output, WorkerConfig};
 use rt_core::schedule::{Message, Worker, WorkerStorage};
 
+use super::gather::{Costs, Gather, Outlet};
 use super::letters::{HELLO_BYTES, Letter, Letters, Task};
 use super::world::Workload;
 use crate::cluster::Io;
@@ -18,7 +19,13 @@ pub(super) struct Node<'m, W> {
     /// `None` while it is down.
     pub(super) worker: Option<Worker<'m>>,
     storage: Option<WorkerStorage<'m>>,
-    threads_busy: u16,
+    /// Threads that draw nothing.
+    idle: Vec<u16>,
+    outlet: Option<Outlet>,
+    /// What communication takes.
+    costs: Costs,
+    /// The frame in which this node drew each tile last.
+    last_drawn: Vec<u32>,
     workload: &'m W,
     letters: Letters,
     pixels_bytes: u32,
@@ -38,12 +45,18 @@ impl<'m, W: Workload> Node<'m, W> {
         workload: &'m W,
         letters: Letters,
         pixels_bytes: u32,
+        gather: Option<Gather>,
     ) -> Self {
+        let outlet =
+            gather.map(|gather| Outlet::new(gather, config.tiles.columns(), config.me, config.threads));
         Self {
             config,
             worker: None,
             storage: Some(storage),
-            threads_busy: 0,
+            idle: (0..config.threads).collect(),
+            outlet,
+            costs: gather.map_or_else(Costs::default, |gather| gather.costs),
+            last_drawn: vec![0; config.tiles.count() as usize],
             workload,
             letters,
             pixels_bytes,
@@ -67,11 +80,16 @@ impl<'m, W: Workload> Node<'m, W> {
 
     pub(super) fn crash(&mut self) {
         self.storage = self.worker.take().map(Worker::into_storage);
-        self.threads_busy = 0;
+        self.idle = (0..self.config.threads).collect();
         self.look_at_us = None;
     }
 
     pub(super) fn handle_message(&mut self, io: &mut Io<'_, Letter, Task>, letter: Letter) {
+        if let Letter::Credit { display, bytes } = letter {
+            self.outlet.iter_mut().for_each(|outlet| outlet.credit(display, bytes));
+            self.send_parcels(io);
+            return;
+        }
         let (Some(worker), Some(message)) = (self.worker.as_mut(), self.letters.read(letter)) else { return };
         self.has_been_dealt |= matches!(message.body, Body::Deal { .. });
         // What is refused changes nothing.
@@ -87,10 +105,18 @@ impl<'m, W: Workload> Node<'m, W> {
         let Some(worker) = self.worker.as_mut() else { return };
         let now_us = io.clock().as_micros();
         match task {
-            Task::Drawn { frame, tile, cost_us } => {
-                self.threads_busy -= 1;
-                let _ = worker.handle_drawn(now_us, frame, TileId(tile), cost_us, self.workload.map(tile));
+            Task::Drawn { thread, frame, tile, cost_us } => {
+                self.idle.push(thread);
+                let map = self.workload.map(tile);
+                let is_wanted = worker.handle_drawn(now_us, frame, TileId(tile), cost_us, map);
+                let last = core::mem::replace(&mut self.last_drawn[tile as usize], frame);
+                if let Some(outlet) = self.outlet.as_mut().filter(|_| is_wanted) {
+                    let bytes = self.workload.bytes(frame, tile, last + 1 == frame);
+                    outlet.push(&self.letters, thread, frame, tile, bytes);
+                }
             }
+            Task::Send { to, bytes, letter } => return io.send(NodeId(to), bytes, letter),
+            Task::Placed(_) | Task::Read(_) => return,
             Task::Look => {
                 self.look_at_us = None;
                 worker.handle_timeout(now_us);
@@ -102,19 +128,34 @@ impl<'m, W: Workload> Node<'m, W> {
     /// Sends what is due and puts idle threads to work.
     fn go_on(&mut self, io: &mut Io<'_, Letter, Task>) {
         while let Some(worker) = self.worker.as_mut()
-            && self.threads_busy < self.config.threads
+            && let Some(thread) = self.idle.last().copied()
             && let Some(tile) = worker.take(io.clock().as_micros())
             && let Some(stamp) = worker.stamp()
         {
-            self.threads_busy += 1;
+            self.idle.pop();
             let frame = stamp.frame;
-            let ns = io.time_of_work(self.workload.cost_ns(frame, tile.0, self.config.me));
+            let ns = self.workload.cost_ns(frame, tile.0, self.config.me) + self.costs.tile_out;
+            let ns = io.time_of_work(ns);
             self.note(frame, ns);
             let cost_us = u32::try_from(ns / 1000).unwrap_or(u32::MAX);
-            io.at(io.now().after(ns), Task::Drawn { frame, tile: tile.0, cost_us });
+            io.at(io.now().after(ns), Task::Drawn { thread, frame, tile: tile.0, cost_us });
         }
+        for thread in &self.idle {
+            self.outlet.iter_mut().for_each(|outlet| outlet.flush(&self.letters, *thread));
+        }
+        self.send_parcels(io);
         let deadline = self.send(io);
         self.look_at(io, deadline);
+    }
+
+    /// Sends the parcels that there is credit for, one after the other.
+    fn send_parcels(&mut self, io: &mut Io<'_, Letter, Task>) {
+        let (to, mut at) = (self.config.nodes, io.now());
+        let Some(outlet) = self.outlet.as_mut() else { return };
+        while let Some((number, bytes)) = outlet.next(&self.letters) {
+            at = at.after(io.time_of_work(self.costs.parcel_out));
+            io.at(at, Task::Send { to, bytes, letter: Letter::Parcel(number) });
+        }
     }
 
     fn note(&mut self, frame: u32, ns: u64) {

@@ -7,6 +7,7 @@ use rt_core::schedule::{Balancer, Ledger, LedgerStorage, PageMap, Worker, Worker
 use rt_core::{TILE_SIZE, Tiles};
 
 use super::display::Display;
+use super::gather::{Gather, Talk};
 use super::letters::{Letter, Letters, Task};
 use super::node::Node;
 use crate::cluster::{Actor, Checks, Cluster, Ended, Io, Setup, View};
@@ -18,6 +19,12 @@ use crate::time::Moment;
 pub trait Workload {
     /// Nanoseconds that a tile of a frame takes on a node that is as fast as any.
     fn cost_ns(&self, frame: u32, tile: u32, node: u16) -> u64;
+
+    /// Bytes of a tile's pixels on their way to a display, where they go in parcels; `is_known` when the display has the
+    /// tile's pixels of the frame before from the same node.
+    fn bytes(&self, _frame: u32, _tile: u32, _is_known: bool) -> u32 {
+        1024
+    }
 
     /// The pages that a tile uses.
     fn map(&self, _tile: u32) -> PageMap {
@@ -42,6 +49,8 @@ pub struct Config {
     pub resend_us: u64,
     /// Bytes of a tile's pixels.
     pub pixels_bytes: u32,
+    /// Tiles come in parcels, over links that lose nothing and from nodes that live; else each in a message of its own.
+    pub gather: Option<Gather>,
     /// What lies between the nodes.
     pub network: Network,
     /// What goes wrong.
@@ -76,6 +85,8 @@ pub struct FrameReport {
     pub busy_ns: Vec<u64>,
     /// Tiles begun, over all nodes.
     pub begun: u32,
+    /// What communication took of the display's time; nothing without [`Config::gather`].
+    pub talk: Talk,
 }
 
 /// What a run has shown.
@@ -112,6 +123,7 @@ impl Config {
             frames: 10,
             resend_us: 2_000,
             pixels_bytes: 1024,
+            gather: None,
             network: Network::gigabit(),
             faults: Faults::default(),
             checks: Checks::AtEnd,
@@ -156,6 +168,7 @@ pub fn run<W: Workload>(config: &Config, workload: &W, memory: &mut Memory, seed
             workload,
             letters.clone(),
             config.pixels_bytes,
+            config.gather,
         );
         Member::Node(Box::new(node))
     });
@@ -163,7 +176,8 @@ pub fn run<W: Workload>(config: &Config, workload: &W, memory: &mut Memory, seed
     let storage = LedgerStorage { tiles: dealt, order, nodes: dealt_nodes };
     let ledger = Ledger::new(ledger_config(config, seed), storage);
     let tiles = config.picture().count();
-    let display = Display::new(ledger, letters, EPOCH, config.frames, config.nodes, tiles);
+    let gather = config.gather.map(|gather| (gather, config.balancer));
+    let display = Display::new(ledger, letters, (EPOCH, config.frames), config.nodes, tiles, gather);
     members.push(Member::Display(Box::new(display)));
     let setup =
         Setup { network: config.network.clone(), faults: config.faults.clone(), checks: config.checks, seed };
@@ -200,7 +214,7 @@ fn worker_config(config: &Config, me: u16, seed: u64) -> WorkerConfig {
         tiles: config.picture(),
         balancer: config.balancer,
         resend_us: config.resend_us,
-        is_display_reliable: false,
+        is_display_reliable: config.gather.is_some(),
         seed,
     }
 }
@@ -213,7 +227,7 @@ fn ledger_config(config: &Config, seed: u64) -> LedgerConfig {
         tiles: config.picture(),
         balancer: config.balancer,
         resend_us: config.resend_us,
-        confirms: true,
+        confirms: config.gather.is_none(),
         seed,
     }
 }
@@ -239,7 +253,7 @@ impl<W: Workload> Actor for Member<'_, W> {
     fn handle_task(&mut self, io: &mut Io<'_, Letter, Task>, task: Task) {
         match self {
             Self::Node(node) => node.handle_task(io, task),
-            Self::Display(display) => display.handle_look(io),
+            Self::Display(display) => display.handle_task(io, task),
         }
     }
 
