@@ -108,6 +108,9 @@ pub struct FrameReport {
     /// over the displays.
     #[serde(default)]
     pub gather_ms: f64,
+    /// Parcels in which the tiles came.
+    #[serde(default)]
+    pub gather_parcels: u64,
     /// Bytes in which the tiles came.
     #[serde(default)]
     pub gather_bytes: u64,
@@ -486,6 +489,7 @@ mod tests {
             damaged_pixels: 0,
             moved_tiles: 0,
             gather_ms: 0.5,
+            gather_parcels: 1,
             gather_bytes: 7,
             changed_tiles: 1,
         };

@@ -489,6 +489,7 @@ impl Drawing {
             lit: counts.lit,
             damaged_pixels: counts.damaged,
             gather_ms: traffic.busy_ns as f64 / 1e6,
+            gather_parcels: traffic.parcels,
             gather_bytes: traffic.bytes,
             changed_tiles: traffic.changed_tiles,
             moved_tiles: self.moved_tiles,

@@ -150,7 +150,8 @@ impl Displays {
             state.part.copy_to(&mut picture);
             counts = Drawn { frame: state.part.counts.frame, ..counts };
             counts.merge(&state.part.counts);
-            let Traffic { bytes, changed_tiles, busy_ns } = state.part.traffic;
+            let Traffic { parcels, bytes, changed_tiles, busy_ns } = state.part.traffic;
+            traffic.parcels += parcels;
             traffic.bytes += bytes;
             traffic.changed_tiles += changed_tiles;
             traffic.busy_ns += busy_ns + ns_since(start);

@@ -31,6 +31,8 @@ pub(super) struct Part {
 /// What came in for one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Traffic {
+    /// Parcels.
+    pub(crate) parcels: u64,
     /// Bytes of all parcels.
     pub(crate) bytes: u64,
     /// Tiles that came with pixels.
@@ -108,6 +110,7 @@ impl Part {
                 arrived.push(tile.id);
             }
         }
+        self.traffic.parcels += 1;
         self.traffic.bytes += packet.len() as u64;
         Ok(arrived)
     }
