@@ -60,9 +60,9 @@ loom() {
     RUSTFLAGS="--cfg loom" cargo test -p fault-linux --lib --release --locked --target-dir target/loom
 }
 
-# Puts faults into the protocol, one at a time, and prints which engine notices which. Half a minute.
+# Puts faults into the protocols, one at a time, and prints which engine notices which. Two minutes.
 mutants() {
-    RUSTFLAGS="--cfg mutants" cargo test -p dsm-core --test mutants -p dsm-sim --test scenarios --release --locked --target-dir target/mutants -- --nocapture
+    RUSTFLAGS="--cfg mutants" cargo test -p dsm-core --test mutants -p dsm-sim --test scenarios -p balance-ops --test mutants --release --locked --target-dir target/mutants -- --nocapture
 }
 
 fuzz() {

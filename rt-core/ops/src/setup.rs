@@ -20,8 +20,8 @@ pub struct Setup {
     pub balancer: Balancer,
     /// Tiles that were sent to the display may be lost, and it confirms those that come.
     pub confirms: bool,
-    /// Moments do not count: a timer is always due. For the model checker.
-    pub is_timeless: bool,
+    /// Tiles use no pages, which leaves fewer states. For the model checker.
+    pub is_pageless: bool,
 }
 
 /// First time after which something is sent again.
@@ -50,7 +50,7 @@ impl Setup {
             threads: 1 + rest % 3,
             balancer,
             confirms: rest & 8 == 0,
-            is_timeless: false,
+            is_pageless: false,
         }
     }
 

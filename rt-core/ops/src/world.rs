@@ -92,6 +92,12 @@ impl<'m> World<'m> {
     /// # Panics
     /// When an invariant does not hold; the message names it.
     pub fn apply(&mut self, op: Op) {
+        self.apply_unchecked(op);
+        self.check();
+    }
+
+    /// Lets one thing happen of which is known that all holds after it.
+    pub fn apply_unchecked(&mut self, op: Op) {
         let node_of = |node: u8| usize::from(node % self.setup.nodes);
         match op {
             Op::Take(node) => self.take(node_of(node)),
@@ -137,7 +143,6 @@ impl<'m> World<'m> {
                 }
             }
         }
-        self.check();
     }
 
     /// What can happen now by itself, as a model checker wants it. Losses, crashes and the like are left to the caller, who
@@ -160,12 +165,14 @@ impl<'m> World<'m> {
         ops
     }
 
-    /// The timers that are running.
+    /// The timers that go off next: what is due first, if all messages have arrived.
     #[must_use]
     pub fn timers(&mut self) -> Vec<Op> {
-        let running = (0..=self.members.len()).filter(|who| self.deadline(*who).is_some());
-        let running: Vec<usize> = running.collect();
-        running.into_iter().filter_map(|who| u8::try_from(who).ok()).map(Op::Timer).collect()
+        let deadlines: Vec<Option<u64>> = (0..=self.members.len()).map(|who| self.deadline(who)).collect();
+        let first = deadlines.iter().flatten().min().copied();
+        let is_first = |(_, deadline): &(usize, Option<u64>)| deadline.is_some() && *deadline == first;
+        let due = deadlines.into_iter().enumerate().filter(is_first);
+        due.filter_map(|(who, _)| u8::try_from(who).ok()).map(Op::Timer).collect()
     }
 
     /// Messages under way.
@@ -176,7 +183,7 @@ impl<'m> World<'m> {
 
     /// Tiles of this frame that are missing.
     #[must_use]
-    pub const fn missing(&self) -> u32 {
+    pub fn missing(&self) -> u32 {
         self.ledger.missing()
     }
 
@@ -194,23 +201,71 @@ impl<'m> World<'m> {
         Tally { stolen: self.tally.stolen + stolen, ..self.tally }
     }
 
-    /// A number that two worlds have in common when whatever happens to both leads to the same; for worlds in which
-    /// moments do not count.
+    /// Of the messages under way one of each kind: which arrives of two that are the same does not matter.
+    #[must_use]
+    pub fn distinct_messages(&self) -> Vec<u8> {
+        let is_first = |index: &usize| {
+            let packet = &self.under_way[*index];
+            !self.under_way[..*index].contains(packet)
+        };
+        (0..self.under_way.len()).filter(is_first).filter_map(|index| u8::try_from(index).ok()).collect()
+    }
+
+    /// Whether nothing is under way that will not be refused whenever it arrives.
+    #[must_use]
+    pub fn is_quiet(&self) -> bool {
+        self.under_way.iter().all(|packet| self.packet_fingerprint(packet).is_none())
+    }
+
+    /// A number that two worlds have in common when whatever happens to both leads to the same: moments count as distances
+    /// from now, questions and gifts have no numbers but are news or not, and the order of what is under way does not
+    /// matter; what will be refused whenever it arrives does not count. For worlds in which nobody comes back.
     #[must_use]
     pub fn fingerprint(&self) -> u64 {
         let mut hasher = DefaultHasher::new();
-        let mut packets: Vec<&Packet> = self.under_way.iter().collect();
-        packets.sort_unstable_by(|a, b| (a.to, &a.bytes).cmp(&(b.to, &b.bytes)));
-        (packets, &self.begun).hash(&mut hasher);
-        self.ledger.fingerprint(&mut hasher);
+        let mut packets: Vec<u64> =
+            self.under_way.iter().filter_map(|packet| self.packet_fingerprint(packet)).collect();
+        packets.sort_unstable();
+        (packets, &self.begun, &self.shown).hash(&mut hasher);
+        self.ledger.fingerprint(self.now_us, &mut hasher);
         for member in &self.members {
             member.is_alive().hash(&mut hasher);
             let mut drawing = member.drawing.clone();
             drawing.sort_unstable();
             drawing.hash(&mut hasher);
-            member.worker.iter().for_each(|worker| worker.fingerprint(&mut hasher));
+            member.worker.iter().for_each(|worker| worker.fingerprint(self.now_us, &mut hasher));
         }
         hasher.finish()
+    }
+
+    fn packet_fingerprint(&self, packet: &Packet) -> Option<u64> {
+        let mut hasher = DefaultHasher::new();
+        let (message, _) = Message::parse(&packet.bytes).expect("what was sent parses");
+        let worker =
+            |node: u16| self.members.get(usize::from(node)).and_then(|member| member.worker.as_ref());
+        let is_for_display = packet.to == self.setup.display();
+        if !is_for_display && worker(packet.to).is_none_or(|worker| is_void(worker, &message)) {
+            return None;
+        }
+        let is_news = worker(packet.to).map(|worker| worker.is_news(&message));
+        (packet.to, message.from, message.stamp, is_news).hash(&mut hasher);
+        match &message.body {
+            Body::Deal { number, tiles } => (0u8, number, tiles).hash(&mut hasher),
+            Body::Give { left_us, gifts, .. } => {
+                (1u8, left_us).hash(&mut hasher);
+                gifts.iter().for_each(|gift| (gift.tile, gift.cost_us, gift.map).hash(&mut hasher));
+            }
+            // The display's deals have few numbers.
+            Body::Taken { number } => (2u8, is_news.is_none().then_some(number)).hash(&mut hasher),
+            Body::Ask { number, map, waits } => {
+                let is_awaited = worker(message.from).is_some_and(|asker| asker.awaits(*number));
+                (3u8, is_awaited, map, waits).hash(&mut hasher);
+            }
+            Body::Nothing { left_us, map, busiest, .. } => (4u8, left_us, map, busiest).hash(&mut hasher),
+            Body::Drawn { tile, cost_us } => (5u8, tile, cost_us).hash(&mut hasher),
+            Body::Shown { tiles } => (6u8, tiles).hash(&mut hasher),
+        }
+        Some(hasher.finish())
     }
 
     /// Tells of all deaths, delivers everything, draws everything and lets time pass until the frame is whole and nobody
@@ -296,7 +351,8 @@ impl<'m> World<'m> {
         let Some(worker) = member.worker.as_mut() else { return };
         let (frame, tile) = member.drawing.remove(index);
         let cost_us = u32::from(cost) * 100;
-        let map = PageMap::of([tile.0, tile.0 + 1], self.setup.tiles().count() + 1);
+        let pages = if self.setup.is_pageless { 0..0 } else { tile.0..tile.0 + 2 };
+        let map = PageMap::of(pages, self.setup.tiles().count() + 1);
         let is_of_use = worker.handle_drawn(now_us, frame, tile, cost_us, map);
         if is_of_use && !confirms {
             // A way that loses nothing: it arrives, some time.
@@ -348,6 +404,7 @@ impl<'m> World<'m> {
                 let shown = &mut self.shown[tile.0 as usize];
                 *shown += 1;
                 assert_eq!(*shown, 1, "EXACTLY_ONCE: {tile:?} is displayed twice");
+                assert_eq!(frame, self.ledger.stamp().frame, "EXACTLY_ONCE: {tile:?} is of another frame");
                 self.tally.shown += 1;
                 self.tally.frames += u64::from(self.ledger.missing() == 0);
                 true
@@ -385,11 +442,8 @@ impl<'m> World<'m> {
 
     fn fire(&mut self, who: usize) {
         let Some(deadline) = self.deadline(who) else { return };
-        let late_us = if self.setup.is_timeless { u64::MAX / 2 } else { deadline.max(self.now_us) };
-        if !self.setup.is_timeless {
-            self.now_us = late_us;
-        }
-        self.timeout(who, late_us);
+        self.now_us = deadline.max(self.now_us);
+        self.timeout(who, self.now_us);
     }
 
     fn advance(&mut self, us: u64) {
@@ -497,6 +551,11 @@ impl<'m> World<'m> {
     fn check(&self) {
         self.ledger.check_invariants();
         self.members.iter().filter_map(|member| member.worker.as_ref()).for_each(Worker::check_invariants);
+        let is_whole = self.ledger.missing() == 0;
+        assert!(
+            !is_whole || self.shown.iter().all(|shown| *shown == 1),
+            "EXACTLY_ONCE: a whole frame lacks a tile"
+        );
         self.check_no_lost_tile();
     }
 
@@ -537,6 +596,18 @@ impl<'m> World<'m> {
             is_it && message.stamp.frame == self.ledger.stamp().frame
         })
     }
+}
+
+/// Whether a node will refuse a message whenever it arrives: it is of a view that is over, or answers what does not wait for
+/// an answer any more.
+fn is_void(worker: &Worker<'_>, message: &Message) -> bool {
+    let Some(stamp) = worker.stamp() else { return false };
+    let is_over = match message.body {
+        Body::Shown { .. } => message.stamp.frame < stamp.frame,
+        _ => message.stamp < stamp,
+    };
+    let is_answer = matches!(message.body, Body::Taken { .. } | Body::Nothing { .. } | Body::Ask { .. });
+    is_over || is_answer && message.stamp == stamp && !worker.is_news(message)
 }
 
 /// More rounds than any frame needs.

@@ -9,6 +9,7 @@ use super::curve::along_curve;
 use super::dice::Dice;
 use super::fixed::Static;
 use super::message::{Body, Message, Stamp, TILES_MAX};
+use super::mutants::{self, Mutant};
 use super::parcel::Parcel;
 use super::worker::Refused;
 use crate::tile::{TileId, Tiles};
@@ -195,7 +196,8 @@ impl<'s> Ledger<'s> {
     /// A tile has come from a node.
     pub fn handle_drawn(&mut self, from: u16, frame: u32, tile: TileId) -> Arrival {
         let confirms = self.config.confirms;
-        let is_current = self.stamp.frame == frame && from < self.config.nodes && !self.is_first;
+        let is_frame = self.stamp.frame == frame || mutants::is_on(Mutant::AcceptOldFrame);
+        let is_current = is_frame && from < self.config.nodes && !self.is_first;
         let entry = self.tiles.get_mut(tile.0 as usize).filter(|_| is_current);
         let Some(entry) = entry else { return Arrival::Stale };
         if confirms {
@@ -203,6 +205,9 @@ impl<'s> Ledger<'s> {
             self.has_mail = true;
         }
         if entry.state == Dealt::Shown {
+            if mutants::is_on(Mutant::DisplayTwice) {
+                return Arrival::First;
+            }
             return Arrival::Again;
         }
         let (was, holder) = (entry.state, entry.holder);
@@ -225,7 +230,8 @@ impl<'s> Ledger<'s> {
     /// It makes no sense now; nothing has changed.
     pub fn handle_message(&mut self, message: &Message) -> Result<(), Refused> {
         let Message { epoch, stamp, from, to, ref body } = *message;
-        if epoch != self.config.epoch || to != self.config.nodes || from >= self.config.nodes {
+        let is_epoch = epoch == self.config.epoch || mutants::is_on(Mutant::SkipEpochCheck);
+        if !is_epoch || to != self.config.nodes || from >= self.config.nodes {
             return Err(Refused::Stranger);
         }
         let Body::Taken { number } = *body else { return Err(Refused::Senseless) };
@@ -254,6 +260,9 @@ impl<'s> Ledger<'s> {
     pub fn handle_down(&mut self, node: u16) -> u32 {
         let Some(entry) = self.nodes.get_mut(usize::from(node)).filter(|entry| entry.is_up) else { return 0 };
         *entry = DealtNode { is_up: false, ..DealtNode::EMPTY };
+        if mutants::is_on(Mutant::ForgetTilesOfTheDead) {
+            return 0;
+        }
         self.deal_anew()
     }
 
@@ -295,7 +304,10 @@ impl<'s> Ledger<'s> {
     }
 
     /// Tiles of the frame that have not come.
-    pub const fn missing(&self) -> u32 {
+    pub fn missing(&self) -> u32 {
+        if mutants::is_on(Mutant::EndEarly) {
+            return self.missing.saturating_sub(1);
+        }
         self.missing
     }
 
@@ -325,12 +337,14 @@ impl<'s> Ledger<'s> {
         self.nodes.get(usize::from(node)).is_some_and(|node| node.is_up)
     }
 
-    /// Puts into `hasher` all that decides what it does, but for moments.
-    pub fn fingerprint(&self, hasher: &mut impl Hasher) {
+    /// Puts into `hasher` all that decides what it does. Moments count as distances from now.
+    pub fn fingerprint(&self, now_us: u64, hasher: &mut impl Hasher) {
         (self.stamp, self.slowest, self.is_first, &self.dice, &*self.tiles).hash(hasher);
         for node in self.nodes.iter() {
             let DealtNode { is_up, deal, in_hand, waiting } = *node;
-            (is_up, deal.number, deal.is_open, deal.is_due, in_hand, waiting).hash(hasher);
+            let left_us = deal.deadline(self.config.resend_us).map(|at_us| at_us.saturating_sub(now_us));
+            (is_up, deal.number, deal.is_open, deal.is_due, deal.tries(), left_us).hash(hasher);
+            (in_hand, waiting).hash(hasher);
         }
     }
 
@@ -485,7 +499,8 @@ impl<'s> Ledger<'s> {
     /// Opens another deal to a node, if tiles wait for it and none is under way.
     fn send_waiting(&mut self, node: u16) {
         let entry = &mut self.nodes[usize::from(node)];
-        if entry.is_up && !entry.deal.is_open && entry.waiting > 0 {
+        let is_sent = !mutants::is_on(Mutant::ForgetWaiting);
+        if entry.is_up && !entry.deal.is_open && entry.waiting > 0 && is_sent {
             entry.deal.open();
             self.has_mail = true;
         }

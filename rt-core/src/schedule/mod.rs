@@ -30,6 +30,10 @@ mod dice;
 pub mod fixed;
 pub mod ledger;
 pub mod message;
+#[cfg(mutants)]
+pub mod mutants;
+#[cfg(not(mutants))]
+mod mutants;
 pub mod page_map;
 mod parcel;
 pub mod worker;

@@ -1,5 +1,7 @@
 //! Something that is sent again until the other side says that it has it.
 
+use super::mutants::{self, Mutant};
+
 /// Tiles on their way to one receiver. There is one parcel at a time, and parcels are numbered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Parcel {
@@ -29,6 +31,11 @@ impl Parcel {
         self.tries == 0
     }
 
+    /// How often it was sent.
+    pub(super) const fn tries(&self) -> u8 {
+        self.tries
+    }
+
     pub(super) const fn note_sent(&mut self, now_us: u64) {
         self.is_due = false;
         self.sent_us = now_us;
@@ -46,8 +53,8 @@ impl Parcel {
     }
 
     /// When it is to be sent again, if it is neither due nor acknowledged.
-    pub(super) const fn deadline(&self, resend_us: u64) -> Option<u64> {
-        if !self.is_open || self.is_due {
+    pub(super) fn deadline(&self, resend_us: u64) -> Option<u64> {
+        if !self.is_open || self.is_due || mutants::is_on(Mutant::NeverResend) {
             return None;
         }
         let doublings = if self.tries < DOUBLINGS_MAX { self.tries } else { DOUBLINGS_MAX };
@@ -55,7 +62,7 @@ impl Parcel {
     }
 
     /// Makes it due when its time has come; tells whether it has.
-    pub(super) const fn expire(&mut self, now_us: u64, resend_us: u64) -> bool {
+    pub(super) fn expire(&mut self, now_us: u64, resend_us: u64) -> bool {
         match self.deadline(resend_us) {
             Some(deadline) if deadline <= now_us => {
                 self.is_due = true;

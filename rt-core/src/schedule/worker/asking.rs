@@ -1,8 +1,11 @@
 //! Whom a node asks that has nothing left.
 
+use core::hash::{Hash, Hasher};
+
 use super::peers::Peers;
 use crate::schedule::Balancer;
 use crate::schedule::dice::Dice;
+use crate::schedule::mutants::{self, Mutant};
 use crate::schedule::page_map::PageMap;
 
 /// How far an idle node has come in its search.
@@ -51,6 +54,15 @@ impl Asking {
         self.stage = Stage::Asking(0);
         self.hint = None;
         self.pause_until_us = None;
+    }
+
+    pub(super) fn fingerprint(&self, now_us: u64, hasher: &mut impl Hasher) {
+        let left_us = |moment_us: u64| moment_us.saturating_sub(now_us);
+        let pending = |question: Question| {
+            // Of one that waits for an answer, only how long it has done so.
+            (question.to, question.waits, question.is_due, now_us - question.sent_us.min(now_us))
+        };
+        (self.pending.map(pending), self.stage, self.hint, self.pause_until_us.map(left_us)).hash(hasher);
     }
 
     pub(super) fn is_resting(&self) -> bool {
@@ -114,6 +126,9 @@ impl Asking {
         while let Stage::Lifelines(number) = self.stage {
             let lifeline = peers.lifeline(number);
             self.stage = if lifeline.is_none() { Stage::Resting } else { Stage::Lifelines(number + 1) };
+            if self.is_resting() && number > 0 && mutants::is_on(Mutant::NeverRest) {
+                self.stage = Stage::Lifelines(0);
+            }
             if let Some(to) = lifeline.filter(|to| peers.is_up(*to)) {
                 return Some((to, true));
             }

@@ -1,6 +1,7 @@
 //! The tiles that a node has in hand, and what it knows of all others.
 
 use crate::schedule::message::Gift;
+use crate::schedule::mutants::{self, Mutant};
 use crate::schedule::page_map::PageMap;
 use crate::tile::TileId;
 
@@ -81,6 +82,9 @@ impl<'s> Hand<'s> {
     pub(super) fn clear(&mut self, frame: u32, is_new_frame: bool, dear_us: u32) {
         for tile in self.tiles.iter_mut() {
             tile.is_gift &= !is_new_frame;
+            if mutants::is_on(Mutant::KeepOldHand) && tile.state == TileState::Queued {
+                continue;
+            }
             if is_new_frame || matches!(tile.state, TileState::Queued | TileState::Given) {
                 tile.state = TileState::Elsewhere;
             }

@@ -328,14 +328,39 @@ impl<'s> Worker<'s> {
         self.stats
     }
 
-    /// Puts into `hasher` all that decides what it does, but for moments and measured times.
-    pub fn fingerprint(&self, hasher: &mut impl Hasher) {
-        (self.stamp, self.unconfirmed, self.has_mail, self.maps, &self.dice).hash(hasher);
-        let question = self.asking.pending.map(|question| (question.to, question.waits, question.is_due));
-        (question, self.asking.number, self.asking.is_resting()).hash(hasher);
+    /// Puts into `hasher` all that decides what it does but for the numbers of questions and gifts, of which only matters how
+    /// they compare with those of messages under way. Moments count as distances from now.
+    pub fn fingerprint(&self, now_us: u64, hasher: &mut impl Hasher) {
+        (self.stamp, self.unconfirmed, self.has_mail, self.maps, self.busy_us, &self.dice).hash(hasher);
+        self.asking.fingerprint(now_us, hasher);
         (self.asks_from_frame, self.times_slow).hash(hasher);
-        self.hand.tiles.iter().for_each(|tile| (tile.state, tile.to, tile.cost_us).hash(hasher));
-        self.peers.all.iter().for_each(|peer| peer.fingerprint(hasher));
+        self.hand.tiles.hash(hasher);
+        let left_us = |moment_us: u64| moment_us.saturating_sub(now_us);
+        (self.unconfirmed > 0).then(|| left_us(self.deliver_at_us)).hash(hasher);
+        let resend_us = self.config.resend_us;
+        for peer in self.peers.all.iter() {
+            peer.fingerprint(hasher);
+            peer.gift.deadline(resend_us).map(left_us).hash(hasher);
+        }
+    }
+
+    /// Whether a message would be news to this node, as far as its number says.
+    pub fn is_news(&self, message: &Message) -> bool {
+        let Some(peer) = self.peers.all.get(usize::from(message.from)) else { return false };
+        match message.body {
+            Body::Deal { number, .. } | Body::Give { number, .. } => number > peer.taken,
+            Body::Taken { number } => peer.gift.is_open && peer.gift.number == number,
+            Body::Ask { number, .. } => number > peer.asked,
+            Body::Nothing { number, .. } => {
+                self.asking.pending.is_some_and(|question| question.number == number)
+            }
+            Body::Drawn { .. } | Body::Shown { .. } => true,
+        }
+    }
+
+    /// Whether a question of this number is the one that waits for an answer.
+    pub fn awaits(&self, number: u32) -> bool {
+        self.asking.pending.is_some_and(|question| question.number == number)
     }
 
     /// Checks what must hold after every input.
@@ -411,7 +436,7 @@ impl<'s> Worker<'s> {
     /// Gives a peer what can be spared. Tells whether that is anything.
     fn share(&mut self, to: u16) -> bool {
         let Some(peer) = self.peers.all.get(usize::from(to)) else { return false };
-        if peer.gift.is_open {
+        if peer.gift.is_open || self.hand.queued <= self.idle_threads() {
             return false;
         }
         let chosen = match self.config.balancer {
@@ -427,6 +452,13 @@ impl<'s> Worker<'s> {
         self.peers.all[usize::from(to)].gift.open();
         self.has_mail = true;
         true
+    }
+
+    /// Threads that draw nothing of this frame, and will take what is queued at once: a tile that came for one of them
+    /// would else be given on, and wander.
+    fn idle_threads(&self) -> u32 {
+        let drawing = self.hand.tiles.iter().filter(|entry| entry.state == TileState::Drawing).count();
+        u32::from(self.config.threads).saturating_sub(u32::try_from(drawing).unwrap_or(u32::MAX))
     }
 
     /// What is queued must take longer than this to be shared: else moving it costs more than it brings, and tiles would

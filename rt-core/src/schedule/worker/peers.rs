@@ -125,10 +125,9 @@ impl<'s> Peers<'s> {
 
 impl PeerEntry {
     pub(super) fn fingerprint(&self, hasher: &mut impl Hasher) {
-        let Self { gift, taken, owes_taken, asked, owes_nothing, waits, ahead, is_empty, is_down, .. } =
-            *self;
-        (gift.number, gift.is_open, gift.is_due, taken, owes_taken, asked).hash(hasher);
-        (owes_nothing, waits, ahead, is_empty, is_down, self.left_us).hash(hasher);
+        let Self { gift, owes_taken, owes_nothing, waits, ahead, is_empty, is_down, .. } = *self;
+        (gift.is_open, gift.is_due, gift.tries(), owes_taken).hash(hasher);
+        (owes_nothing, waits, ahead, is_empty, is_down, self.left_us, self.map).hash(hasher);
     }
 
     /// A peer of which nothing is known.
