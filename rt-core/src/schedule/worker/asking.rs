@@ -126,12 +126,13 @@ impl Asking {
         while let Stage::Lifelines(number) = self.stage {
             let lifeline = peers.lifeline(number);
             self.stage = if lifeline.is_none() { Stage::Resting } else { Stage::Lifelines(number + 1) };
-            if self.is_resting() && number > 0 && mutants::is_on(Mutant::NeverRest) {
-                self.stage = Stage::Lifelines(0);
-            }
             if let Some(to) = lifeline.filter(|to| peers.is_up(*to)) {
                 return Some((to, true));
             }
+        }
+        if mutants::is_on(Mutant::NeverRest) {
+            self.stage = Stage::Lifelines(1);
+            return peers.lifeline(0).filter(|to| peers.is_up(*to)).map(|to| (to, true));
         }
         None
     }

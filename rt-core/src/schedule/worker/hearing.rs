@@ -155,10 +155,15 @@ impl Worker<'_> {
         if !peer.gift.acknowledge(number) {
             return Err(Refused::OutOfTurn);
         }
-        for tile in
-            self.hand.tiles.iter_mut().filter(|tile| tile.state == TileState::Given && tile.to == from)
-        {
-            tile.state = TileState::Elsewhere;
+        for index in 0..self.hand.tiles.len() {
+            let entry = &mut self.hand.tiles[index];
+            if entry.state != TileState::Given || entry.to != from {
+                continue;
+            }
+            entry.state = TileState::Elsewhere;
+            if mutants::is_on(Mutant::KeepGiven) {
+                self.hand.queue(TileId(u32::try_from(index).unwrap_or(u32::MAX)));
+            }
         }
         Ok(())
     }

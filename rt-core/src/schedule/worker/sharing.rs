@@ -2,7 +2,6 @@
 
 use super::hand::{Hand, TileState};
 use crate::schedule::message::GIFTS_MAX;
-use crate::schedule::mutants::{self, Mutant};
 use crate::schedule::page_map::PageMap;
 use crate::tile::TileId;
 
@@ -68,9 +67,6 @@ impl Hand<'_> {
     pub(super) fn give(&mut self, chosen: &Chosen, to: u16) {
         for tile in chosen {
             self.unqueue(*tile, TileState::Given);
-            if mutants::is_on(Mutant::KeepGiven) {
-                self.queue(*tile);
-            }
             self.tiles[tile.0 as usize].to = to;
         }
     }
