@@ -4,7 +4,7 @@ use anyhow::Result;
 
 use crate::findings::Findings;
 use crate::{balance, embree, fig5, fig7, gather, iso, iso_error, left_out};
-use crate::{paging_core, replacement, scaling, sim, table1, triangle_tests};
+use crate::{paging_core, replacement, scaling, sim, step_aside, table1, table3, triangle_tests};
 
 /// An experiment: its name on the command line, what it shows, how it is run.
 #[derive(Debug)]
@@ -32,9 +32,11 @@ pub(crate) const ALL: &[Experiment] = &[
     sim::EXPERIMENT,
     scaling::EXPERIMENT,
     fig7::EXPERIMENT,
+    table3::EXPERIMENT,
     balance::EXPERIMENT,
     fig5::EXPERIMENT,
     replacement::EXPERIMENT,
+    step_aside::EXPERIMENT,
     gather::EXPERIMENT,
     embree::EXPERIMENT,
     left_out::EXPERIMENT,

@@ -10,8 +10,10 @@
 //! | [`scaling`] | frame rate over nodes and memory |
 //! | [`paging_core`] | what one fault costs the state machine alone |
 //! | [`fig7`] | misses and frame rate by balancer, as in the paper's Figure 7 |
+//! | [`table3`] | communication at the display and frame rate from 2 to 1024 nodes, as in the paper's Table 3 |
 //! | [`balance`] | stiff cases of balancing in virtual time |
 //! | [`replacement`] | misses of the replacement policies, and what prefetch spares |
+//! | [`step_aside`] | what threads do about pages that are absent |
 //! | [`gather`] | bytes from the nodes to the display, and its time for a tile |
 //! | [`embree`] | our kernels against Embree 3 and 4 |
 //! | [`peers`] | other programs that draw what we draw, and our kernels beside them |
@@ -56,8 +58,10 @@ mod scaling;
 mod sim;
 mod space;
 mod spread;
+mod step_aside;
 mod table;
 mod table1;
+mod table3;
 mod triangle_tests;
 mod volumes;
 
