@@ -17,8 +17,8 @@ pub(crate) enum Order {
     SetUp(Box<SetUp>),
     /// Every page is in place; you may fetch from others.
     Go,
-    /// A frame begins; its tiles are dealt after this.
-    Draw(Frame),
+    /// A frame begins, and this is the display's first deal of its tiles.
+    Draw(Frame, Vec<u8>),
     /// The display's part of the balance: which tiles are whose.
     Balance(Vec<u8>),
     /// The process of this number is dead; ask it for nothing.
@@ -149,7 +149,7 @@ impl Order {
         Ok(match self {
             Self::SetUp(set_up) => with_json(b'S', set_up)?,
             Self::Go => vec![b'G'],
-            Self::Draw(frame) => [b"D", frame.as_bytes()].concat(),
+            Self::Draw(frame, deal) => [b"D", frame.as_bytes(), deal].concat(),
             Self::Balance(message) => [&b"B"[..], message].concat(),
             Self::Down(process) => [&b"N"[..], &process.to_le_bytes()].concat(),
             Self::Halt => vec![b'H'],
@@ -161,7 +161,10 @@ impl Order {
         match packet {
             [b'S', json @ ..] => Ok(Self::SetUp(serde_json::from_slice(json)?)),
             [b'G'] => Ok(Self::Go),
-            [b'D', frame @ ..] => Ok(Self::Draw(Frame::read(frame)?)),
+            [b'D', rest @ ..] => {
+                let (frame, deal) = rest.split_at_checked(size_of::<Frame>()).context("half a frame")?;
+                Ok(Self::Draw(Frame::read(frame)?, deal.to_vec()))
+            }
             [b'B', message @ ..] => Ok(Self::Balance(message.to_vec())),
             [b'N', low, high] => Ok(Self::Down(u16::from_le_bytes([*low, *high]))),
             [b'H'] => Ok(Self::Halt),

@@ -156,7 +156,10 @@ impl Process {
         dead.into_iter().for_each(|process| crew.bury(process));
         loop {
             match self.next_order()? {
-                Some(Order::Draw(frame)) => crew.balance.iter().for_each(|balance| balance.begin(frame)),
+                Some(Order::Draw(frame, deal)) => {
+                    crew.balance.iter().for_each(|balance| balance.begin(frame));
+                    crew.balance.iter().try_for_each(|balance| balance.handle_deal(&deal))?;
+                }
                 Some(Order::Balance(deal)) => {
                     crew.balance.iter().try_for_each(|balance| balance.handle_deal(&deal))?;
                 }

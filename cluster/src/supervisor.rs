@@ -144,8 +144,8 @@ impl Supervisor {
             ledger.handle_down(u16::try_from(index)?);
         }
         ledger.begin(frame.number);
-        self.tell_all(&Order::Draw(frame))?;
-        self.deal(ledger)?;
+        // Every living node is dealt something, if only the word that the frame begins.
+        self.send_deals(ledger, |deal| Order::Draw(frame, deal))?;
         self.kill_as_asked(&frame);
         while ledger.missing() > 0 || !self.is_told(facts.as_ref()) {
             for (index, event) in self.listen()? {
@@ -247,9 +247,13 @@ impl Supervisor {
 
     /// Sends what the ledger has to say. Links lose nothing, so nothing is said again.
     fn deal(&self, ledger: &mut Ledger<'_>) -> Result<()> {
+        self.send_deals(ledger, Order::Balance)
+    }
+
+    fn send_deals(&self, ledger: &mut Ledger<'_>, order: impl Fn(Vec<u8>) -> Order) -> Result<()> {
         let mut buffer = [0; MESSAGE_BYTES_MAX];
         while let Output::Transmit { to, length } = ledger.poll(now().as_micros(), &mut buffer) {
-            let order = Order::Balance(buffer[..length].to_vec());
+            let order = order(buffer[..length].to_vec());
             self.processes[usize::from(to)].send(&order.to_packet()?, &[])?;
         }
         Ok(())

@@ -126,10 +126,7 @@ fn displays_take_every_tile_in_parcels_and_never_more_than_credit_allows() {
                 taken >= least && taken <= least + talk.parcels * costs.message_out,
                 "{balancer}: {talk:?}"
             );
-            assert!(
-                talk.supervisor >= 4 * (2 * costs.message_out + costs.message_in),
-                "{balancer}: {talk:?}"
-            );
+            assert!(talk.supervisor >= 4 * (costs.message_out + costs.message_in), "{balancer}: {talk:?}");
             assert_eq!(frame.begun, 256, "DRAWN_ONCE: {balancer}");
         }
     }

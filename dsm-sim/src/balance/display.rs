@@ -4,10 +4,10 @@ use dsm_core::id::NodeId;
 use rt_core::TileId;
 use rt_core::schedule::ledger::{Arrival, Output};
 use rt_core::schedule::message::{Body, MESSAGE_BYTES_MAX};
-use rt_core::schedule::{Balancer, Ledger};
+use rt_core::schedule::{Balancer, Ledger, Message};
 
 use super::gather::{Gather, Talk};
-use super::letters::{CREDIT_BYTES, Letter, Letters, ORDER_BYTES, Task};
+use super::letters::{CREDIT_BYTES, FRAME_BYTES, Letter, Letters, Task};
 use super::world::FrameReport;
 use crate::cluster::Io;
 use crate::time::{Moment, us};
@@ -35,7 +35,6 @@ pub(super) struct Display<'m> {
 struct Desk {
     gather: Gather,
     balancer: Balancer,
-    nodes: u16,
     displays_free: Vec<Moment>,
     supervisor_free: Moment,
     /// Bytes taken from each node by each display, and those of which the node has been told.
@@ -164,10 +163,9 @@ impl<'m> Display<'m> {
         }
     }
 
-    fn begin(&mut self, io: &mut Io<'_, Letter, Task>, frame: u32) {
+    fn begin(&mut self, io: &Io<'_, Letter, Task>, frame: u32) {
         self.shown.fill(false);
         self.began = io.now();
-        self.desk.iter_mut().for_each(|desk| desk.send_orders(io));
         self.ledger.begin(frame);
     }
 
@@ -197,7 +195,9 @@ impl<'m> Display<'m> {
                 Output::Transmit { to, length } => {
                     let bytes = u32::try_from(length).unwrap_or(u32::MAX);
                     let letter = self.letters.add(&buffer[..length]);
+                    let opens_view = self.letters.read(letter).is_some_and(|message| opens_view(&message));
                     match self.desk.as_mut() {
+                        Some(desk) if opens_view => desk.send(io, to, bytes + FRAME_BYTES, letter),
                         Some(desk) => desk.send(io, to, bytes, letter),
                         None => io.send(NodeId(to), bytes, letter),
                     }
@@ -213,13 +213,16 @@ impl<'m> Display<'m> {
     }
 }
 
+const fn opens_view(message: &Message) -> bool {
+    matches!(message.body, Body::Deal { number: 0, .. })
+}
+
 impl Desk {
     fn new(gather: Gather, balancer: Balancer, nodes: u16) -> Self {
         let displays = usize::from(gather.displays);
         Self {
             gather,
             balancer,
-            nodes,
             displays_free: vec![Moment::ZERO; displays],
             supervisor_free: Moment::ZERO,
             taken: vec![vec![[0; 2]; displays]; nodes.into()],
@@ -237,11 +240,6 @@ impl Desk {
     fn send(&mut self, io: &mut Io<'_, Letter, Task>, to: u16, bytes: u32, letter: Letter) {
         let at = self.work(io.now(), self.gather.costs.message_out);
         io.at(at, Task::Send { to, bytes, letter });
-    }
-
-    /// Tells every node which frame comes.
-    fn send_orders(&mut self, io: &mut Io<'_, Letter, Task>) {
-        (0..self.nodes).for_each(|node| self.send(io, node, ORDER_BYTES, Letter::Order));
     }
 
     /// A parcel has reached its display, which takes it when it has time.

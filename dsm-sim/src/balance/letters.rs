@@ -14,8 +14,6 @@ pub(super) enum Letter {
     Parcel(u32),
     /// From a display: "I have taken so many bytes of yours since the beginning".
     Credit { display: u16, bytes: u64 },
-    /// From the display: "this frame is drawn next". What it says the deal says too.
-    Order,
     /// "I have started, for the how manieth time": to the display, until it deals.
     Hello {
         /// Starts so far.
@@ -58,8 +56,8 @@ pub(super) struct Parcel {
 /// Length of a [`Letter::Hello`].
 pub(super) const HELLO_BYTES: u32 = 16;
 
-/// Length of a [`Letter::Order`].
-pub(super) const ORDER_BYTES: u32 = 200;
+/// Length of what a frame is, which travels with its first deal.
+pub(super) const FRAME_BYTES: u32 = 136;
 
 /// Length of a [`Letter::Credit`].
 pub(super) const CREDIT_BYTES: u32 = 8;
