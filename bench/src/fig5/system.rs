@@ -34,9 +34,6 @@ impl System {
     pub(super) const ALL: [Self; 6] =
         [Self::Replicated, Self::Uffd, Self::Segv, Self::Objects, Self::UffdByRays, Self::ObjectsByRays];
 
-    /// Ours.
-    pub(super) const PAGED: [Self; 2] = [Self::Uffd, Self::Segv];
-
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Replicated => "replicated",
