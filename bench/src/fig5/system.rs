@@ -8,6 +8,7 @@ use fault_linux::BackendKind;
 use memsavvy::run::{Options, Source};
 use memsavvy::session::Session;
 use memsavvy::size::{Memory, PictureSize};
+use rt_core::{Kernel, Lanes};
 
 use super::{MEMORY, NODES, STORES};
 
@@ -20,13 +21,18 @@ pub(super) enum System {
     Uffd,
     /// The same by another of the system's means, the paper's.
     Segv,
-    /// A look into a table at every access, as in the paper's object-based sharing.
+    /// A look into a table for every record that is read; beams read one for hundreds of rays.
     Objects,
+    /// Pages, with rays that come one by one.
+    UffdByRays,
+    /// The paper's object-based sharing: each ray looks up every record that it reads.
+    ObjectsByRays,
 }
 
 impl System {
-    /// The baseline first, what is paged in the middle, objects last.
-    pub(super) const ALL: [Self; 4] = [Self::Replicated, Self::Uffd, Self::Segv, Self::Objects];
+    /// The baseline first.
+    pub(super) const ALL: [Self; 6] =
+        [Self::Replicated, Self::Uffd, Self::Segv, Self::Objects, Self::UffdByRays, Self::ObjectsByRays];
 
     pub(super) const fn name(self) -> &'static str {
         match self {
@@ -34,16 +40,23 @@ impl System {
             Self::Uffd => "paged, uffd",
             Self::Segv => "paged, segv",
             Self::Objects => "objects, soft",
+            Self::UffdByRays => "paged, uffd, ray by ray",
+            Self::ObjectsByRays => "objects, soft, ray by ray",
         }
     }
 
     const fn backend(self) -> BackendKind {
         match self {
             Self::Replicated => BackendKind::Replicated,
-            Self::Uffd => BackendKind::Uffd,
+            Self::Uffd | Self::UffdByRays => BackendKind::Uffd,
             Self::Segv => BackendKind::Segv,
-            Self::Objects => BackendKind::Soft,
+            Self::Objects | Self::ObjectsByRays => BackendKind::Soft,
         }
+    }
+
+    /// `None` is the fastest.
+    fn kernel(self) -> Option<Kernel> {
+        matches!(self, Self::UffdByRays | Self::ObjectsByRays).then(|| Kernel::Rays(Lanes::widest()))
     }
 
     /// A run of a session on the image of a file.
@@ -56,6 +69,7 @@ impl System {
             threads: Some(NonZeroU16::MIN),
             memory: (!has_all).then_some(Memory::Share(MEMORY)),
             backend: Some(self.backend()),
+            kernel: self.kernel(),
             size: PictureSize { width: size, height: size },
             session: session.clone(),
             deadline: Duration::from_secs(60),

@@ -114,6 +114,14 @@ impl Projection {
         })
     }
 
+    /// About the direction from the eye through the middle of what is looked at.
+    pub(super) fn middle(&self) -> Vec3 {
+        let [x, y, depth] = self.rows;
+        let [across, down] = self.end.map(|end| end * 0.5);
+        let along = (x - depth * across).cross(y - depth * down);
+        if along.dot(depth) < 0.0 { -along } else { along }
+    }
+
     /// Projects sixteen points.
     #[inline(always)]
     pub(super) fn project<S: Simd>(&self, s: S, point: [S::F; 3]) -> Projected<S::F> {

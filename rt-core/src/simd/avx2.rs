@@ -465,6 +465,19 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
+    fn add_where_int_wide(self, mask: Self::M, a: Self::I, b: Self::I) -> Self::I {
+        let bits = each!(2: [[mask[0], mask[1]], [mask[2], mask[3]]], half => {
+            let [low, high] = each!(2: half, quarter => with!(_mm256_castpd_ps(quarter)));
+            // Every other word, which leaves pairs in the order 0 2 1 3.
+            let words = with!(_mm256_shuffle_ps::<0b10_00_10_00>(low, high));
+            let words = with!(_mm256_castps_si256(words));
+            with!(_mm256_permute4x64_epi64::<0b11_01_10_00>(words))
+        });
+        let added = both!(_mm256_and_si256(bits, b));
+        both!(_mm256_add_epi32(a, added))
+    }
+
+    #[inline(always)]
     fn bits_of(self, table: &[u64; 8], index: Self::I) -> Mask {
         let (halves, _) = table.as_chunks::<4>();
         let words = each!(2: [0, 1], half => with!(_mm256_loadu_si256(halves[half].as_ptr().cast())));

@@ -37,6 +37,14 @@ macro_rules! with {
     };
 }
 
+/// Of sixteen numbers those for the lower lanes of a mask, and those for its upper lanes, each with what follows.
+#[inline(always)]
+fn eights(mask: Mask, from: &[f64; LANES]) -> [&[f64; 8]; 2] {
+    let (halves, _) = from.as_chunks();
+    let upper = from[(mask & 0xff).count_ones() as usize..].first_chunk();
+    [&halves[0], upper.unwrap_or(&halves[1])]
+}
+
 impl Simd for Avx512 {
     type F = __m512;
     type I = __m512i;
@@ -164,6 +172,33 @@ impl Simd for Avx512 {
     #[inline(always)]
     fn store_packed(self, mask: Mask, value: Self::F, to: &mut [f32; LANES]) {
         self.store(with!(_mm512_maskz_compress_ps(mask, value)), to);
+    }
+
+    #[inline(always)]
+    fn load_spread(self, mask: Mask, from: &[f32; LANES], otherwise: Self::F) -> Self::F {
+        with!(_mm512_mask_expand_ps(otherwise, mask, self.load(from)))
+    }
+
+    #[inline(always)]
+    fn load_spread_f64(self, mask: Mask, from: &[f64; LANES], otherwise: Self::D) -> Self::D {
+        let ([first, second], [low, high]) = (mask.to_le_bytes(), eights(mask, from));
+        let low = with!(_mm512_loadu_pd(low.as_ptr()));
+        let high = with!(_mm512_loadu_pd(high.as_ptr()));
+        (
+            with!(_mm512_mask_expand_pd(otherwise.0, first, low)),
+            with!(_mm512_mask_expand_pd(otherwise.1, second, high)),
+        )
+    }
+
+    #[inline(always)]
+    fn store_packed_f64(self, mask: Mask, value: Self::D, to: &mut [f64; LANES]) {
+        let [first, second] = mask.to_le_bytes();
+        let low = with!(_mm512_maskz_compress_pd(first, value.0));
+        let high = with!(_mm512_maskz_compress_pd(second, value.1));
+        with!(_mm512_storeu_pd(to.as_mut_ptr(), low));
+        if let Some(to) = to[first.count_ones() as usize..].first_chunk_mut::<8>() {
+            with!(_mm512_storeu_pd(to.as_mut_ptr(), high));
+        }
     }
 
     #[inline(always)]
@@ -332,6 +367,18 @@ impl Simd for Avx512 {
     #[inline(always)]
     fn add_where_int(self, mask: Mask, a: Self::I, b: Self::I) -> Self::I {
         with!(_mm512_mask_add_epi32(a, mask, a, b))
+    }
+
+    #[inline(always)]
+    fn add_where_int_wide(self, (first, second): Self::M, a: Self::I, b: Self::I) -> Self::I {
+        // By halves: it takes longer to put the masks together.
+        let [a, b] = each!(2: [a, b], of => {
+            [with!(_mm512_castsi512_si256(of)), with!(_mm512_extracti32x8_epi32::<1>(of))]
+        });
+        let low = with!(_mm256_mask_add_epi32(a[0], first, a[0], b[0]));
+        let high = with!(_mm256_mask_add_epi32(a[1], second, a[1], b[1]));
+        let low = with!(_mm512_castsi256_si512(low));
+        with!(_mm512_inserti32x8::<1>(low, high))
     }
 
     #[inline(always)]

@@ -153,6 +153,32 @@ pub(crate) trait Simd: Copy {
     /// Moves the lanes of the mask together to the front; what is behind them is anything.
     fn store_packed(self, mask: Mask, value: Self::F, to: &mut [f32; LANES]);
 
+    /// Fills the lanes of the mask from the front of an array, lowest first.
+    #[inline(always)]
+    fn load_spread(self, mask: Mask, from: &[f32; LANES], otherwise: Self::F) -> Self::F {
+        let mut lanes = self.array(otherwise);
+        spread(mask, from, &mut lanes);
+        self.load(&lanes)
+    }
+    /// The same for `f64`.
+    #[inline(always)]
+    fn load_spread_f64(self, mask: Mask, from: &[f64; LANES], otherwise: Self::D) -> Self::D {
+        let mut lanes = self.array_f64(otherwise);
+        spread(mask, from, &mut lanes);
+        self.load_f64(&lanes)
+    }
+    /// [`store_packed`](Self::store_packed) for `f64`.
+    #[inline(always)]
+    fn store_packed_f64(self, mask: Mask, value: Self::D, to: &mut [f64; LANES]) {
+        let mut count = 0;
+        for (lane, value) in self.array_f64(value).into_iter().enumerate() {
+            to[count % LANES] = value;
+            count += usize::from(mask >> lane & 1);
+            // Only a full mask gets to the end, and only with the last lane.
+            count = count.min(LANES - 1);
+        }
+    }
+
     /// Up to sixteen bytes as integers; lanes beyond are 0.
     fn bytes(self, from: &[u8]) -> Self::I;
     /// Cuts off the fraction. The values lie within ±2^30.
@@ -194,6 +220,8 @@ pub(crate) trait Simd: Copy {
     fn select_int(self, mask: Mask, yes: Self::I, no: Self::I) -> Self::I;
     /// The sum where the mask is set, else `a`.
     fn add_where_int(self, mask: Mask, a: Self::I, b: Self::I) -> Self::I;
+    /// The same by a mask of sixteen `f64`.
+    fn add_where_int_wide(self, mask: Self::M, a: Self::I, b: Self::I) -> Self::I;
     /// The lanes whose bit is set: that of 512 which the low nine bits of the index name.
     fn bits_of(self, table: &[u64; 8], index: Self::I) -> Mask;
 
@@ -249,6 +277,18 @@ pub(crate) trait Simd: Copy {
     #[inline(always)]
     fn max3(self, [a, b, c]: [Self::F; 3]) -> Self::F {
         self.max(self.max(a, b), c)
+    }
+}
+
+/// Fills the lanes of the mask from the front of an array, lowest first.
+#[inline(always)]
+fn spread<T: Copy>(mask: Mask, from: &[T; LANES], lanes: &mut [T; LANES]) {
+    let mut next = 0;
+    for (lane, to) in lanes.iter_mut().enumerate() {
+        if mask >> lane & 1 != 0 {
+            *to = from[next % LANES];
+            next += 1;
+        }
     }
 }
 

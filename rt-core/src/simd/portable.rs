@@ -290,6 +290,11 @@ impl Simd for Portable {
         self.select_int(mask, map(a, b, i32::wrapping_add), a)
     }
 
+    #[inline(always)]
+    fn add_where_int_wide(self, mask: Mask, a: Self::I, b: Self::I) -> Self::I {
+        self.add_where_int(mask, a, b)
+    }
+
     #[inline(never)]
     fn bits_of(self, table: &[u64; 8], index: Self::I) -> Mask {
         let is_set = |index: i32| table[(index >> 6 & 7) as usize] >> (index & 63) & 1 != 0;

@@ -51,7 +51,13 @@ impl Task for EveryOperation {
         s.store_packed(self.mask, a, &mut packed);
         packed[self.mask.count_ones() as usize..].fill(0.0);
         floats(s.load(&packed));
+        floats(s.load_spread(self.mask, &self.a, b));
         let (wide_a, wide_b) = (s.widen(a), s.widen(b));
+        let mut packed = [0.0; LANES];
+        s.store_packed_f64(self.mask, wide_a, &mut packed);
+        packed[self.mask.count_ones() as usize..].fill(0.0);
+        floats(s.narrow(s.load_f64(&packed)));
+        floats(s.narrow(s.load_spread_f64(self.mask, &s.array_f64(wide_a), wide_b)));
         for value in [
             s.add_f64(wide_a, wide_b),
             s.sub_f64(wide_a, wide_b),
@@ -80,6 +86,7 @@ impl Task for EveryOperation {
             s.shift_right::<3>(integers),
             s.select_int(self.mask, integers, s.splat_int(-7)),
             s.add_where_int(self.mask, integers, s.splat_int(-7)),
+            s.add_where_int_wide(s.wide_mask(self.mask), integers, s.bytes(&self.bytes)),
             nine,
         ] {
             let lanes = s.int_array(value);

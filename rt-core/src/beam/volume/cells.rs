@@ -1,9 +1,9 @@
-//! Sixteen rays in a brick, each stepping through its own voxel cells from one that may hold a surface to the next.
+//! Sixteen rays in a brick, each stepping through its own voxel cells.
 //!
 //! [`Steps`](crate::volume_ray::Steps), lane by lane. Where a ray crosses several planes at once it crosses them in one
 //! step; the cells between have no stretch of the ray.
 
-use super::packet::{CellBox, Limit, Packet, Stretch};
+use super::packet::{CellBox, Packet, Stretch};
 use crate::simd::{Mask, Simd, each};
 use crate::volume::BRICK_CELLS;
 
@@ -15,10 +15,10 @@ pub(super) struct Cells<S: Simd> {
     crossing: [S::D; 3],
     /// What an axis' number grows by with each step: 1 or -1.
     one: [S::D; 3],
-    /// The same for `number`.
-    stride: [S::D; 3],
+    /// The same for `index`.
+    stride: [S::I; 3],
     /// Number of the cell in the brick: `x + 8 y + 64 z`.
-    number: S::D,
+    pub(super) index: S::I,
     /// Where the rays enter their cells, and leave the box.
     pub(super) enter: S::D,
     leave: S::D,
@@ -39,19 +39,34 @@ pub(super) struct InCells<D, F> {
 }
 
 impl<S: Simd> Cells<S> {
-    /// The cells in which the rays enter a box of cells of a brick with this lowest corner. `None` when none does.
+    /// No rays.
+    #[inline(always)]
+    pub(super) fn none(s: S) -> Self {
+        let (zero, zeros) = (s.splat_f64(0.0), [s.splat_f64(0.0); 3]);
+        let index = s.splat_int(0);
+        let live = s.wide_mask(0);
+        Self {
+            far: zeros,
+            crossing: zeros,
+            one: zeros,
+            stride: [index; 3],
+            index,
+            enter: zero,
+            leave: zero,
+            live,
+        }
+    }
+
+    /// The cells in which rays with these stretches enter a box of cells of a brick with this lowest corner.
     #[inline(always)]
     pub(super) fn new(
         s: S,
-        (packet, limit): (&Packet<S>, &Limit<S::D>),
+        packet: &Packet<S>,
+        stretch: &Stretch<S::D>,
         cells: &CellBox,
         corner: [i32; 3],
-    ) -> Option<Self> {
+    ) -> Self {
         let ends = packet.ends(s, cells);
-        let stretch = packet.stretch(s, &ends, limit);
-        if stretch.lanes == 0 {
-            return None;
-        }
         let (minus, zero, plus) = (s.splat_f64(-1.0), s.splat_f64(0.0), s.splat_f64(1.0));
         let one = each!(3: packet.forwards, lanes => s.select_f64(lanes, plus, minus));
         // A guess, which is nearly always right, of the cell; then its far planes.
@@ -61,42 +76,58 @@ impl<S: Simd> Cells<S> {
             let at = s.max_f64(s.min_f64(s.floor_f64(at), last), s.splat_f64(f64::from(cells.low[axis])));
             s.add_f64(at, s.select_f64(packet.forwards[axis], plus, zero))
         });
-        let (far, crossing) = in_box(s, packet, (far, one), &ends, &stretch);
+        let (far, crossing) = in_box(s, packet, (far, one), &ends, stretch);
         let [x, y, z] = each!(3: [0, 1, 2], axis => {
             let low = s.select_f64(packet.forwards[axis], s.sub_f64(far[axis], plus), far[axis]);
             s.sub_f64(low, s.splat_f64(f64::from(corner[axis])))
         });
         let eight = s.splat_f64(8.0);
-        let number = s.add_f64(x, s.mul_f64(eight, s.add_f64(y, s.mul_f64(eight, z))));
-        let sixty_four = s.splat_f64(64.0);
-        let stride = [one[0], s.mul_f64(eight, one[1]), s.mul_f64(sixty_four, one[2])];
-        let live = s.wide_mask(stretch.lanes);
-        Some(Self { far, crossing, one, stride, number, enter: stretch.enter, leave: stretch.leave, live })
-    }
-
-    /// Number of each ray's cell in the brick: `x + 8 y + 64 z`.
-    #[inline(always)]
-    pub(super) fn index(&self, s: S) -> S::I {
-        s.to_int(s.narrow(self.number))
-    }
-
-    /// Has every ray that is in a cell without its bit go on to the next with one, or out of the box. Gives the rays that
-    /// are in one.
-    #[inline(always)]
-    pub(super) fn seek(&mut self, s: S, packet: &Packet<S>, active: &[u64; 8]) -> Mask {
-        loop {
-            let there = s.wide_mask(s.bits_of(active, self.index(s)));
-            let moving = s.except(self.live, there);
-            if s.narrow_mask(moving) == 0 {
-                return s.narrow_mask(self.live);
-            }
-            self.step(s, packet, moving);
+        let index = s.add_f64(x, s.mul_f64(eight, s.add_f64(y, s.mul_f64(eight, z))));
+        let strides = [one[0], s.mul_f64(eight, one[1]), s.mul_f64(s.splat_f64(64.0), one[2])];
+        Self {
+            far,
+            crossing,
+            one,
+            stride: each!(3: strides, stride => s.to_int(s.narrow(stride))),
+            index: s.to_int(s.narrow(index)),
+            enter: stretch.enter,
+            leave: stretch.leave,
+            live: s.wide_mask(stretch.lanes),
         }
+    }
+
+    /// Puts the live rays of others into their lanes.
+    #[inline(always)]
+    pub(super) fn put(&mut self, s: S, others: &Self) {
+        let (wide, lanes) = (others.live, s.narrow_mask(others.live));
+        for axis in 0..3 {
+            self.far[axis] = s.select_f64(wide, others.far[axis], self.far[axis]);
+            self.crossing[axis] = s.select_f64(wide, others.crossing[axis], self.crossing[axis]);
+            self.one[axis] = s.select_f64(wide, others.one[axis], self.one[axis]);
+            self.stride[axis] = s.select_int(lanes, others.stride[axis], self.stride[axis]);
+        }
+        self.index = s.select_int(lanes, others.index, self.index);
+        self.enter = s.select_f64(wide, others.enter, self.enter);
+        self.leave = s.select_f64(wide, others.leave, self.leave);
+        self.live = s.wide_mask(lanes | s.narrow_mask(self.live));
+    }
+
+    /// The lanes whose rays are in the box.
+    #[inline(always)]
+    pub(super) fn live(&self, s: S) -> Mask {
+        s.narrow_mask(self.live)
+    }
+
+    /// Has these rays leave the box.
+    #[inline(always)]
+    pub(super) fn end(&mut self, s: S, rays: Mask) {
+        self.live = s.except(self.live, s.wide_mask(rays));
     }
 
     /// Has these rays go on to their next cells.
     #[inline(always)]
-    pub(super) fn step(&mut self, s: S, packet: &Packet<S>, moving: S::M) {
+    pub(super) fn step(&mut self, s: S, packet: &Packet<S>, moving: Mask) {
+        let moving = s.wide_mask(moving);
         let exit = self.exit(s);
         self.enter = s.select_f64(moving, exit, self.enter);
         // Others cross nothing.
@@ -105,16 +136,9 @@ impl<S: Simd> Cells<S> {
             let crossed = s.le_f64(self.crossing[axis], exit);
             self.far[axis] = s.add_where_f64(crossed, self.far[axis], self.one[axis]);
             self.crossing[axis] = packet.planes(s, axis, self.far[axis]);
-            self.number = s.add_where_f64(crossed, self.number, self.stride[axis]);
+            self.index = s.add_where_int_wide(crossed, self.index, self.stride[axis]);
         }
         self.live = s.both(self.live, s.lt_f64(self.enter, self.leave));
-    }
-
-    /// Has all rays but those of `done`, which leave, go on to their next cells.
-    #[inline(always)]
-    pub(super) fn leave(&mut self, s: S, packet: &Packet<S>, done: Mask) {
-        self.live = s.except(self.live, s.wide_mask(done));
-        self.step(s, packet, self.live);
     }
 
     /// Where the rays of `lanes` are in their cells.
@@ -158,7 +182,7 @@ impl<S: Simd> Cells<S> {
 
     /// Lowest corner of a ray's cell.
     pub(super) fn cell(&self, s: S, lane: usize, corner: [i32; 3]) -> [i32; 3] {
-        let index = s.int_array(self.index(s))[lane];
+        let index = s.int_array(self.index)[lane];
         [corner[0] + (index & 7), corner[1] + (index >> 3 & 7), corner[2] + (index >> 6 & 7)]
     }
 }

@@ -1,9 +1,10 @@
-//! Packets in a brick: which of their rays meet a surface in it.
+//! Rays in a brick: which of them meet a surface in it.
 
 use super::brick_cells::BrickCells;
 use super::cells::{Cells, InCells};
 use super::cubics::Cubics;
-use super::packet::{Limit, Packet, Packets};
+use super::packet::{Limit, Packets};
+use super::waiting::{Names, Rays, Waiting};
 use crate::beam::triangles::Bounds;
 use crate::brick::SAMPLES;
 use crate::count::Count;
@@ -25,8 +26,8 @@ pub(super) trait Targets<S: Simd> {
     /// How far they look.
     fn limit(&self, s: S, number: usize) -> Limit<S::D>;
 
-    /// Takes roots of rays of a packet.
-    fn take(&mut self, s: S, number: usize, roots: &Roots<'_, S>);
+    /// Takes roots of some rays.
+    fn take(&mut self, s: S, names: &Names, roots: &Roots<'_, S>);
 }
 
 /// That rays meet surfaces in voxel cells, and where.
@@ -41,7 +42,7 @@ pub(super) struct Roots<'a, S: Simd> {
     pub(super) lanes: Mask,
 }
 
-/// The way of some packets through a brick, kept apart: it needs all registers.
+/// The way of rays of some packets through a brick, kept apart: it needs all registers.
 pub(super) struct Cross<'a, 'p, S: Simd, M, C, T> {
     pub(super) packets: &'a mut Packets<'p, S>,
     /// The packets that go through it.
@@ -62,50 +63,69 @@ impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Part<S> for Cross<'_, '_,
 
     #[inline(always)]
     fn run(mut self, s: S) -> Option<()> {
-        while self.wanted != 0 {
+        let (mut waiting, mut rays, mut cells) = (Waiting::new(), Rays::none(s), Cells::none(s));
+        loop {
+            let live = cells.live(s);
+            if live.count_ones() <= FEW && (self.wanted != 0 || waiting.count != 0) {
+                let free = self.have_waiting(s, &mut waiting, !live)?;
+                let stretch = waiting.put(s, free, &mut rays);
+                let brick = self.look.brick;
+                cells.put(s, &Cells::new(s, &rays.packet, &stretch, &brick.around, brick.corner));
+                continue;
+            }
+            let there = s.bits_of(&self.look.brick.active, cells.index) & live;
+            let moving = live & !there;
+            if moving != 0 && there.count_ones() < MANY {
+                cells.step(s, &rays.packet, moving);
+            } else if there != 0 {
+                let places = cells.places(s, &rays.packet, there);
+                let found = self.look.look(s, (&rays, &cells), &places);
+                cells.end(s, found);
+                cells.step(s, &rays.packet, there & !found);
+            } else {
+                return Some(());
+            }
+        }
+    }
+}
+
+impl<S: Simd, M: SceneMemory, C: Count, T: Targets<S>> Cross<'_, '_, S, M, C, T> {
+    /// Has rays wait for these lanes, as long as any enter the brick; gives the lanes for which there are.
+    #[inline(always)]
+    fn have_waiting(&mut self, s: S, waiting: &mut Waiting, free: Mask) -> Option<Mask> {
+        let brick = self.look.brick;
+        while self.wanted != 0 && waiting.count < free.count_ones() as usize {
             let number = self.wanted.trailing_zeros() as usize;
             self.wanted &= self.wanted - 1;
             let packet = self.packets.get(s, self.look.targets, number)?;
-            self.look.cross(s, packet, number);
+            let limit = self.look.targets.limit(s, number);
+            let stretch = packet.stretch(s, &packet.ends(s, &brick.around), &limit);
+            if stretch.lanes != 0 {
+                waiting.add(s, number, packet, &stretch);
+            }
         }
-        Some(())
+        let mut lanes = free;
+        while lanes.count_ones() as usize > waiting.count {
+            lanes &= lanes - 1;
+        }
+        Some(lanes)
     }
 }
 
 impl<M: SceneMemory, C: Count, T> Look<'_, M, C, T> {
-    /// Leads one packet through the brick.
-    #[inline(always)]
-    fn cross<S: Simd>(&mut self, s: S, packet: &Packet<S>, number: usize)
-    where
-        T: Targets<S>,
-    {
-        let rays = (packet, &self.targets.limit(s, number));
-        let Some(mut cells) = Cells::new(s, rays, &self.brick.around, self.brick.corner) else { return };
-        loop {
-            let lanes = cells.seek(s, packet, &self.brick.active);
-            if lanes == 0 {
-                return;
-            }
-            let places = cells.places(s, packet, lanes);
-            let found = self.look(s, number, (packet, &cells), &places);
-            cells.leave(s, packet, found);
-        }
-    }
-
     /// Looks for roots in cells, and gives the rays that have one.
     #[inline(always)]
     fn look<S: Simd>(
         &mut self,
         s: S,
-        number: usize,
-        (packet, cells): (&Packet<S>, &Cells<S>),
+        (rays, cells): (&Rays<S>, &Cells<S>),
         places: &InCells<S::D, S::F>,
     ) -> Mask
     where
         T: Targets<S>,
     {
         self.count.voxel_cells(places.lanes.count_ones());
-        let index = cells.index(s);
+        let index = cells.index;
         let samples = self.samples(s, index);
         let (mut once, mut open, mut which) = (0, 0, s.splat(0.0));
         let all = self.surfaces.sought();
@@ -122,15 +142,15 @@ impl<M: SceneMemory, C: Count, T> Look<'_, M, C, T> {
         let mut found = once & !open;
         if found != 0 {
             let roots = Roots { places, samples: &samples, sought: which, at: None, lanes: found };
-            self.targets.take(s, number, &roots);
+            self.targets.take(s, &rays.names(s), &roots);
         }
         while open != 0 {
             let lane = open.trailing_zeros() as usize;
             open &= open - 1;
-            if let Some(root) = self.by_ray(s, lane, (packet, cells), places, &samples) {
+            if let Some(root) = self.by_ray(s, lane, (rays, cells), places, &samples) {
                 let (sought, at) = (s.splat(root.index as f32), Some(s.splat(root.s)));
                 let roots = Roots { places, samples: &samples, sought, at, lanes: 1 << lane };
-                self.targets.take(s, number, &roots);
+                self.targets.take(s, &rays.names(s), &roots);
                 found |= 1 << lane;
             }
         }
@@ -163,16 +183,22 @@ impl<M: SceneMemory, C: Count, T> Look<'_, M, C, T> {
         &mut self,
         s: S,
         lane: usize,
-        (packet, cells): (&Packet<S>, &Cells<S>),
+        (rays, cells): (&Rays<S>, &Cells<S>),
         places: &InCells<S::D, S::F>,
         samples: &[S::F; 8],
     ) -> Option<Root> {
         let cell = cells.cell(s, lane, self.brick.corner);
         let samples = samples.map(|sample| s.array(sample)[lane % LANES]);
         let stretch = (s.array_f64(places.enter)[lane % LANES], s.array_f64(places.exit)[lane % LANES]);
-        self.surfaces.root_in_cell(&packet.ray(s, lane), cell, stretch, &samples, &mut ())
+        self.surfaces.root_in_cell(&rays.packet.ray(s, lane), cell, stretch, &samples, &mut ())
     }
 }
 
 /// From the lowest sample of a cell to the first of each two in a row.
 const ROWS: [i32; 4] = [0, 8, 64, 72];
+
+/// So few rays in a brick are joined by others.
+const FEW: u32 = 8;
+
+/// So many rays in cells that may hold a surface wait for no more.
+const MANY: u32 = 12;

@@ -6,8 +6,10 @@
 //!    their pixels shows something nearer by then ([`walk`]).
 //! 2. A brick that a ray enters is made ready once for all rays of the tile: its samples as numbers, and a bit for each cell
 //!    with samples on both sides of an isovalue ([`brick_cells`]).
-//! 3. The pixels of a block are a *packet* of sixteen rays ([`packet`]). Each ray steps through the cells of the brick until
-//!    it is in one whose bit is set; when all are, or have left, their cubics are made ([`cells`], [`cubics`]).
+//! 3. The pixels of a block are a *packet* of sixteen rays ([`packet`]). Those that enter the brick, of whichever packet,
+//!    take turns in sixteen lanes ([`waiting`]): when half of the lanes are free, others take their places. Each ray steps
+//!    through the cells until it is in one whose bit is set; when enough are, their cubics are made ([`cross`], [`cells`],
+//!    [`cubics`]).
 //! 4. A cubic that changes once between inside and outside has one root, which is all a shadow ray wants to know. What a
 //!    pixel wants to know of it is found out when the tile is done, sixteen at a time ([`surface`]).
 //! 5. Shadows: the same, with rays from the lit points to the light and the light as the eye ([`shadows`]).
@@ -25,6 +27,7 @@ mod packet;
 mod pixels;
 mod shadows;
 mod surface;
+mod waiting;
 mod walk;
 
 use core::marker::PhantomData;
@@ -47,7 +50,7 @@ use crate::shade::{ALBEDO, AMBIENT};
 use crate::simd::{LANES, Lanes, Mask, Part, Simd, Task};
 use crate::tile::{Depths, Tile, TileView};
 use crate::volume_memo::TileMemo;
-use pixels::{Found, Pixels};
+use pixels::{FoundByLane, Pixels};
 use shadows::Shadows;
 use surface::{by_sought, meet};
 use walk::{shows, walk};
@@ -89,7 +92,7 @@ impl<M: SceneMemory, C: Count, K: Kinds> Task for Draw<'_, M, C, K> {
         }
         let picture = Picture { view, surfaces, tile, mesh };
         let t_max = picture.depths_of_mesh(s)?;
-        let mut found = [Found::nothing(s); BLOCKS];
+        let mut found = [FoundByLane::NOTHING; BLOCKS];
         let projection = &projection;
         s.apart(See { view, surfaces, projection, tile, t_max: &t_max, found: &mut found, work })?;
         let mut painted = picture.paint(s, &found)?;
@@ -164,7 +167,7 @@ impl<M: SceneMemory, K: Kinds> Picture<'_, M, K> {
     }
 
     #[inline(always)]
-    fn paint<S: Simd>(&self, s: S, found: &[Found<S::D, S::F>; BLOCKS]) -> Option<Painted> {
+    fn paint<S: Simd>(&self, s: S, found: &[FoundByLane; BLOCKS]) -> Option<Painted> {
         let &TileView { eye, light, shadow_offset, .. } = self.view;
         let lighting = Lighting { eye, light, shadow_offset };
         let dark = [[0.0; LANES]; BLOCKS];
@@ -191,15 +194,15 @@ impl<M: SceneMemory, K: Kinds> Picture<'_, M, K> {
         &self,
         s: S,
         block: usize,
-        found: &Found<S::D, S::F>,
+        found: &FoundByLane,
         by_mesh: Mask,
     ) -> Option<(Met<S::F>, S::F)> {
         let camera = &self.view.frame.camera;
         let (mut met, mut albedo) =
             (Met::nothing(s, directions(s, camera, self.tile, block)), s.splat(ALBEDO));
         if found.lanes != 0 {
-            met = meet(s, self.surfaces, found, met.direction);
-            albedo = albedo_of(s, self.view, self.surfaces, found);
+            met = meet(s, self.surfaces, &found.load(s), met.direction);
+            albedo = albedo_of(s, self.view, self.surfaces, s.load(&found.sought));
         }
         if let Some(mesh) = self.mesh.as_ref().filter(|_| by_mesh != 0) {
             met = met.with(s, by_mesh, &meet_mesh(s, mesh, block, camera, self.tile).ok()?);
@@ -215,11 +218,11 @@ fn albedo_of<S: Simd, M: SceneMemory>(
     s: S,
     view: &TileView<'_, M>,
     surfaces: &Isosurfaces<'_, M>,
-    found: &Found<S::D, S::F>,
+    sought: S::F,
 ) -> S::F {
     let of_frame = view.frame.isosurfaces();
     let number = |index: usize| surfaces.sought()[index].surface as usize;
-    by_sought(s, surfaces, found.sought, |index| {
+    by_sought(s, surfaces, sought, |index| {
         of_frame.get(number(index)).map_or(ALBEDO, |surface| surface.albedo)
     })
 }
@@ -231,7 +234,7 @@ struct See<'a, S: Simd, M, C> {
     projection: &'a Projection,
     tile: Tile,
     t_max: &'a [S::F; BLOCKS],
-    found: &'a mut [Found<S::D, S::F>; BLOCKS],
+    found: &'a mut [FoundByLane; BLOCKS],
     work: &'a mut C,
 }
 

@@ -2,21 +2,22 @@
 
 use super::cross::{Roots, Targets};
 use super::packet::Limit;
+use super::waiting::Names;
 use crate::beam::pixels::{blocks_within, present_in};
 use crate::beam::surface::directions;
 use crate::beam::triangles::Bounds;
-use crate::blocks::BLOCKS;
+use crate::blocks::{BLOCKS, ByBlock};
 use crate::memory::SceneMemory;
 use crate::simd::{LANES, Mask, Simd, each};
 use crate::tile::{Tile, TileView};
 
 /// The pixels of a tile: each block is a packet.
-pub(super) struct Pixels<'a, S: Simd, M> {
+pub(super) struct Pixels<'a, M> {
     view: &'a TileView<'a, M>,
     tile: Tile,
-    pub(super) found: &'a mut [Found<S::D, S::F>; BLOCKS],
+    found: &'a mut [FoundByLane; BLOCKS],
     /// What is deeper does not matter to a pixel; infinite where it shows nothing.
-    end: [S::D; BLOCKS],
+    end: ByBlock<f64>,
     /// For each block: what has a smaller inverse depth does not matter.
     waiting: [f32; BLOCKS],
 }
@@ -38,38 +39,75 @@ pub(super) struct Found<D, F> {
     pub(super) known: Mask,
 }
 
-impl<D: Copy, F: Copy> Found<D, F> {
+/// The same as numbers that are written one by one.
+pub(super) type FoundByLane = Found<[f64; LANES], [f32; LANES]>;
+
+impl FoundByLane {
     /// No roots.
+    pub(super) const NOTHING: Self = Self {
+        lanes: 0,
+        enter: [0.0; LANES],
+        exit: [0.0; LANES],
+        from: [[0.0; LANES]; 3],
+        to: [[0.0; LANES]; 3],
+        samples: [[0.0; LANES]; 8],
+        sought: [0.0; LANES],
+        at: [0.0; LANES],
+        known: 0,
+    };
+
     #[inline(always)]
-    pub(super) fn nothing<S: Simd<D = D, F = F>>(s: S) -> Self {
-        let (zero, zeros) = (s.splat(0.0), s.splat_f64(0.0));
-        Self {
-            lanes: 0,
-            enter: zeros,
-            exit: zeros,
-            from: [zero; 3],
-            to: [zero; 3],
-            samples: [zero; 8],
-            sought: zero,
-            at: zero,
-            known: 0,
+    pub(super) fn load<S: Simd>(&self, s: S) -> Found<S::D, S::F> {
+        let mut samples = [s.splat(0.0); 8];
+        for (to, from) in samples.iter_mut().zip(&self.samples) {
+            *to = s.load(from);
         }
+        Found {
+            lanes: self.lanes,
+            enter: s.load_f64(&self.enter),
+            exit: s.load_f64(&self.exit),
+            from: each!(3: [0, 1, 2], axis => s.load(&self.from[axis])),
+            to: each!(3: [0, 1, 2], axis => s.load(&self.to[axis])),
+            samples,
+            sought: s.load(&self.sought),
+            at: s.load(&self.at),
+            known: self.known,
+        }
+    }
+
+    /// Takes the root in a lane of others, whose masks are not looked at.
+    #[inline(always)]
+    fn take(&mut self, lane: usize, others: &Self, from: usize, is_known: bool) {
+        let (lane, from) = (lane % LANES, from % LANES);
+        self.lanes |= 1 << lane;
+        self.known = self.known & !(1 << lane) | Mask::from(is_known) << lane;
+        self.enter[lane] = others.enter[from];
+        self.exit[lane] = others.exit[from];
+        for axis in 0..3 {
+            self.from[axis][lane] = others.from[axis][from];
+            self.to[axis][lane] = others.to[axis][from];
+        }
+        for (to, others) in self.samples.iter_mut().zip(&others.samples) {
+            to[lane] = others[from];
+        }
+        self.sought[lane] = others.sought[from];
+        self.at[lane] = others.at[from];
     }
 }
 
-impl<'a, S: Simd, M: SceneMemory> Pixels<'a, S, M> {
+impl<'a, M: SceneMemory> Pixels<'a, M> {
     /// Pixels that show other things at these depths, or infinitely deep.
     #[inline(always)]
-    pub(super) fn new(
+    pub(super) fn new<S: Simd>(
         s: S,
         view: &'a TileView<'a, M>,
         tile: Tile,
-        found: &'a mut [Found<S::D, S::F>; BLOCKS],
+        found: &'a mut [FoundByLane; BLOCKS],
         t_max: &[S::F; BLOCKS],
     ) -> Self {
-        let mut pixels = Self { view, tile, found, end: [s.splat_f64(0.0); BLOCKS], waiting: [0.0; BLOCKS] };
+        let mut pixels = Self { view, tile, found, end: [[0.0; LANES]; BLOCKS], waiting: [0.0; BLOCKS] };
         for (block, &t_max) in t_max.iter().enumerate() {
-            pixels.end[block] = s.widen(t_max);
+            s.store_f64(s.widen(t_max), &mut pixels.end[block]);
             pixels.waiting[block] = of_no_matter(s, present_in(tile, block), t_max);
         }
         pixels
@@ -83,7 +121,7 @@ fn of_no_matter<S: Simd>(s: S, lanes: Mask, t: S::F) -> f32 {
     (1.0 - 1.0 / 1_048_576.0) / farthest
 }
 
-impl<S: Simd, M: SceneMemory> Targets<S> for Pixels<'_, S, M> {
+impl<S: Simd, M: SceneMemory> Targets<S> for Pixels<'_, M> {
     #[inline(always)]
     fn least(&mut self, s: S) -> f32 {
         let (quarters, _) = self.waiting.as_chunks::<LANES>();
@@ -109,35 +147,48 @@ impl<S: Simd, M: SceneMemory> Targets<S> for Pixels<'_, S, M> {
     }
 
     #[inline(always)]
-    fn limit(&self, _: S, number: usize) -> Limit<S::D> {
+    fn limit(&self, s: S, number: usize) -> Limit<S::D> {
         let block = number % BLOCKS;
-        Limit { end: self.end[block], open: present_in(self.tile, block) }
+        Limit { end: s.load_f64(&self.end[block]), open: present_in(self.tile, block) }
     }
 
     #[inline(always)]
-    fn take(&mut self, s: S, number: usize, roots: &Roots<'_, S>) {
-        let block = number % BLOCKS;
-        let (found, lanes, places) = (&mut self.found[block], roots.lanes, roots.places);
-        let wide = s.wide_mask(lanes);
-        found.lanes |= lanes;
-        found.enter = s.select_f64(wide, places.enter, found.enter);
-        found.exit = s.select_f64(wide, places.exit, found.exit);
-        for axis in 0..3 {
-            found.from[axis] = s.select(lanes, places.from[axis], found.from[axis]);
-            found.to[axis] = s.select(lanes, places.to[axis], found.to[axis]);
+    fn take(&mut self, s: S, names: &Names, roots: &Roots<'_, S>) {
+        let found = by_lane(s, roots);
+        let mut lanes = roots.lanes;
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize;
+            lanes &= lanes - 1;
+            let (block, own) = names.of(lane);
+            self.found[block % BLOCKS].take(own, &found, lane, roots.at.is_some());
+            // What begins behind the cell of a root is of no matter.
+            self.end[block % BLOCKS][own % LANES] = found.enter[lane];
         }
-        for (to, &from) in found.samples.iter_mut().zip(roots.samples) {
-            *to = s.select(lanes, from, *to);
+        let mut lanes = roots.lanes;
+        while lanes != 0 {
+            let (block, _) = names.take_packet(&mut lanes);
+            let end = s.narrow(s.load_f64(&self.end[block % BLOCKS]));
+            self.waiting[block % BLOCKS] = of_no_matter(s, present_in(self.tile, block % BLOCKS), end);
         }
-        found.sought = s.select(lanes, roots.sought, found.sought);
-        found.known &= !lanes;
-        if let Some(at) = roots.at {
-            found.at = s.select(lanes, at, found.at);
-            found.known |= lanes;
-        }
-        // What begins behind the cell of a root is of no matter.
-        let end = s.select_f64(wide, places.enter, self.end[block]);
-        self.end[block] = end;
-        self.waiting[block] = of_no_matter(s, present_in(self.tile, block), s.narrow(end));
     }
+}
+
+/// Roots as numbers.
+#[inline(always)]
+fn by_lane<S: Simd>(s: S, roots: &Roots<'_, S>) -> FoundByLane {
+    let mut found = FoundByLane::NOTHING;
+    s.store_f64(roots.places.enter, &mut found.enter);
+    s.store_f64(roots.places.exit, &mut found.exit);
+    for axis in 0..3 {
+        s.store(roots.places.from[axis], &mut found.from[axis]);
+        s.store(roots.places.to[axis], &mut found.to[axis]);
+    }
+    for (to, &sample) in found.samples.iter_mut().zip(roots.samples) {
+        s.store(sample, to);
+    }
+    s.store(roots.sought, &mut found.sought);
+    if let Some(at) = roots.at {
+        s.store(at, &mut found.at);
+    }
+    found
 }

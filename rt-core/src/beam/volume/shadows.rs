@@ -2,6 +2,7 @@
 
 use super::cross::{Roots, Targets};
 use super::packet::Limit;
+use super::waiting::Names;
 use crate::beam::samples::{GROUPS, Samples};
 use crate::beam::triangles::Bounds;
 use crate::simd::{Simd, each};
@@ -33,7 +34,11 @@ impl<S: Simd> Targets<S> for Shadows<'_, '_> {
     }
 
     #[inline(always)]
-    fn take(&mut self, s: S, number: usize, roots: &Roots<'_, S>) {
-        self.0.close_all(s, number % GROUPS, roots.lanes);
+    fn take(&mut self, s: S, names: &Names, roots: &Roots<'_, S>) {
+        let mut lanes = roots.lanes;
+        while lanes != 0 {
+            let (group, own) = names.take_packet(&mut lanes);
+            self.0.close_all(s, group % GROUPS, own);
+        }
     }
 }

@@ -27,8 +27,8 @@ pub(super) fn walk<S: Simd, M: SceneMemory, C: Count, T: Targets<S>>(
     targets: &mut T,
     count: &mut C,
 ) -> Option<()> {
-    let depth = projection.rows[2];
-    let negative = |axis: usize| if depth[axis] < 0.0 { FLIP_AXIS[axis] } else { 0 };
+    let middle = projection.middle();
+    let negative = |axis: usize| if middle[axis] < 0.0 { FLIP_AXIS[axis] } else { 0 };
     let flip = negative(0) | negative(1) | negative(2);
     let budget = Budget { branches: surfaces.volume.branches, bricks: surfaces.volume.bricks };
     let (mut brick, mut packets) = (BrickCells::new(), [Packet::none(s); PACKETS]);
