@@ -33,39 +33,48 @@ const PORT: PortId = PortId(0);
 /// Nanoseconds that a fault may cost.
 const FAULT_NS_MAX: f64 = 200.0;
 
-/// A size of the address space, and what the memory lent for it lies in.
-const CASES: [(u32, HugePages); 5] = [
-    (10, HugePages::Never),
-    (16, HugePages::Never),
-    (16, HugePages::Advised),
-    (22, HugePages::Never),
-    (22, HugePages::Advised),
+/// Who chooses victims, the size of the address space as a power of two, and what the memory lent for it lies in.
+type Case = (PolicyKind, u32, HugePages);
+
+const CASES: [Case; 9] = [
+    (PolicyKind::Random, 10, HugePages::Never),
+    (PolicyKind::Random, 16, HugePages::Never),
+    (PolicyKind::Random, 16, HugePages::Advised),
+    (PolicyKind::Random, 22, HugePages::Never),
+    (PolicyKind::Random, 22, HugePages::Advised),
+    (PolicyKind::Recall, 10, HugePages::Never),
+    (PolicyKind::Recall, 16, HugePages::Never),
+    (PolicyKind::Recall, 22, HugePages::Never),
+    (PolicyKind::Recall, 22, HugePages::Advised),
 ];
 
 fn run(effort: Effort) -> Result<Findings> {
-    let heads = ["pages", "slots", "lent memory in pages of", "ns a fault", "of it waiting for memory, ns"];
+    let heads = ["policy", "pages", "slots", "lent memory in pages of", "ns a fault", "its memory alone, ns"];
     let title = "One fault, granted, with an eviction: the state machine alone, one thread";
     let mut table = Table::new("core", title, &heads);
     let (mut points, mut aims) = (Vec::new(), Vec::new());
-    for (power, huge_pages) in CASES {
-        effort.say(&format!("2^{power} pages"));
-        let Timed { fault_ns, memory_ns } = time(1 << power, huge_pages, effort)?;
+    for case in CASES {
+        let (policy, power, huge_pages) = case;
+        effort.say(&format!("{policy}, 2^{power} pages"));
+        let Timed { fault_ns, memory_ns } = time(case, effort)?;
         let pages = 1_u32 << power;
         table.push(vec![
+            Cell::Text(policy.to_string()),
             Cell::Count(pages.into()),
             Cell::Count((pages / PAGES_PER_SLOT).into()),
             Cell::text(name(huge_pages)),
             Cell::Spread(fault_ns, 0),
             Cell::Spread(memory_ns, 0),
         ]);
-        if huge_pages == HugePages::Never {
+        if policy == PolicyKind::Random && huge_pages == HugePages::Never {
             points.push((f64::from(pages), fault_ns.median));
         }
-        let what = format!("ns of the core per fault, 2^{power} pages, lent in {}", name(huge_pages));
+        let what =
+            format!("ns of the core per fault, {policy}, 2^{power} pages, lent in {}", name(huge_pages));
         aims.push(Aim::at_most(what, fault_ns.median, FAULT_NS_MAX));
     }
     table.note("each fault is of a random page that is absent; its grant is parsed and checked; its slot comes of an eviction");
-    table.note("waiting for memory: the same accesses to the entries of page, slot and victim, in the same places, without the state machine, less those of a table that fits the cache");
+    table.note("its memory alone: the same accesses to the entries of page, slot and victim, one after the other and without the state machine, less those of a table that fits the cache; recall looks at sixteen slots for one");
     aims.push(Aim::at_most("bytes per page of the address space", size_of::<PageEntry>() as f64, 8.0));
     aims.push(Aim::at_most("bytes per slot", size_of::<SlotEntry>() as f64, 32.0));
     Ok(Findings { tables: vec![table, memory()], aims, plot: Some(plot(points)) })
@@ -102,12 +111,13 @@ struct Timed {
 }
 
 /// Times faults, and their accesses to memory, in turns.
-fn time(pages: u32, huge_pages: HugePages, effort: Effort) -> Result<Timed> {
+fn time(case: Case, effort: Effort) -> Result<Timed> {
+    let (_, power, huge_pages) = case;
     let (mut faults, mut accesses) = (Vec::new(), Vec::new());
     for _ in 0..effort.pick(9, 1) {
-        faults.push(fault_ns(pages, huge_pages, effort.pick(400_000, 1_000))?);
+        faults.push(fault_ns(case, effort.pick(400_000, 1_000))?);
         let cached = memory_ns(1 << 10, huge_pages, effort.pick(1_000_000, 1_000))?;
-        accesses.push(memory_ns(pages, huge_pages, effort.pick(1_000_000, 1_000))? - cached);
+        accesses.push(memory_ns(1 << power, huge_pages, effort.pick(1_000_000, 1_000))? - cached);
     }
     Ok(Timed { fault_ns: Spread::of(&faults), memory_ns: Spread::of(&accesses) })
 }
@@ -128,7 +138,8 @@ fn memory() -> Table {
 }
 
 /// Nanoseconds of one fault, all that the state machine does for it, over `faults` faults.
-fn fault_ns(pages: u32, huge_pages: HugePages, faults: u32) -> Result<f64> {
+fn fault_ns((policy, power, huge_pages): Case, faults: u32) -> Result<f64> {
+    let pages = 1 << power;
     let slots = (pages / PAGES_PER_SLOT) as usize;
     let placement = Stripes::new(pages, 64, OWNER, 1)?;
     let config = Config { evict_batch: 16, ..Config::new(NodeId(0), placement, PAGE_BYTES) };
@@ -141,7 +152,7 @@ fn fault_ns(pages: u32, huge_pages: HugePages, faults: u32) -> Result<f64> {
         peers: &mut peers,
         requests: &mut requests,
     };
-    let mut node = Node::new(config, storage, Policy::new(PolicyKind::Random, 1))?;
+    let mut node = Node::new(config, storage, Policy::new(policy, 1))?;
     let mut numbers = Numbers::new(2004);
     let mut now = 0;
     let mut fetch = |node: &mut Node<'_>, count: u32| {
@@ -181,23 +192,24 @@ fn bring(node: &mut Node<'_>, now: Instant, page: PageId) -> bool {
 
 /// Does what the node says, all of it, then what comes of that: victims leave, requests are granted, pages filled.
 fn drive(node: &mut Node<'_>, now: Instant) {
-    let mut work = gather(node);
-    for page in &work.victims {
-        node.handle_unmapped(now, *page);
-        gather(node);
+    let mut work = Work::default();
+    work.gather(node);
+    for page in core::mem::take(&mut work.victims) {
+        node.handle_unmapped(now, page);
+        work.gather(node);
     }
     if let Some(grant) = work.grant.take() {
         let believed = node.handle_message(now, &grant);
         debug_assert!(believed.is_ok(), "a grant that was asked for");
-        work.arrived = gather(node).arrived;
+        work.gather(node);
     }
-    if let Some(page) = work.arrived {
+    if let Some(page) = work.arrived.take() {
         node.handle_filled(now, page);
-        gather(node);
+        work.gather(node);
     }
 }
 
-/// What one input has caused. To wake somebody is nothing here: nobody sleeps.
+/// What inputs have caused. To wake somebody is nothing here: nobody sleeps.
 #[derive(Default)]
 struct Work {
     victims: heapless::Vec<PageId, { EVICT_BATCH_MAX as usize }>,
@@ -206,26 +218,27 @@ struct Work {
     arrived: Option<PageId>,
 }
 
-/// Polls until the node is idle, as a driver must before its next input.
-fn gather(node: &mut Node<'_>) -> Work {
-    let mut work = Work::default();
-    let mut buffer = [0; HEADER_BYTES];
-    loop {
-        match node.poll(&mut buffer) {
-            Output::Idle(_) => return work,
-            Output::Transmit { to, len, .. } => {
-                if let Ok(request) = Message::parse(&buffer[..len]) {
-                    let mut grant = [0; HEADER_BYTES];
-                    request.grant(to, PAGE_BYTES).emit(&mut grant);
-                    work.grant = Some(grant);
+impl Work {
+    /// Polls until the node is idle, as a driver must before its next input.
+    fn gather(&mut self, node: &mut Node<'_>) {
+        let mut buffer = [0; HEADER_BYTES];
+        loop {
+            match node.poll(&mut buffer) {
+                Output::Idle(_) => return,
+                Output::Transmit { to, len, .. } => {
+                    if let Ok(request) = Message::parse(&buffer[..len]) {
+                        let mut grant = [0; HEADER_BYTES];
+                        request.grant(to, PAGE_BYTES).emit(&mut grant);
+                        self.grant = Some(grant);
+                    }
                 }
+                Output::Unmap { page, .. } => {
+                    let pushed = self.victims.push(page);
+                    debug_assert!(pushed.is_ok(), "a batch is bounded");
+                }
+                Output::Map { page, .. } => self.arrived = Some(page),
+                Output::Store { .. } | Output::Hide { .. } | Output::WakePage { .. } | Output::WakeSlots => {}
             }
-            Output::Unmap { page, .. } => {
-                let pushed = work.victims.push(page);
-                debug_assert!(pushed.is_ok(), "a batch is bounded");
-            }
-            Output::Map { page, .. } => work.arrived = Some(page),
-            Output::Store { .. } | Output::Hide { .. } | Output::WakePage { .. } | Output::WakeSlots => {}
         }
     }
 }

@@ -498,8 +498,15 @@ impl<'s, R: Replacement> Node<'s, R> {
 
     /// Chooses a batch of victims and has them taken away.
     fn evict(&mut self) {
+        let mut victims = heapless::Vec::<SlotId, { EVICT_BATCH_MAX as usize }>::new();
         for _ in 0..self.config.evict_batch {
             let Some(slot) = self.residents.choose_victim(self.table.slots_mut()) else { break };
+            self.table.slots_mut()[slot.index()].evictable = false; // or it might be chosen twice
+            let pushed = victims.push(slot);
+            debug_assert!(pushed.is_ok(), "a batch is bounded");
+        }
+        self.table.begin_reading(&victims);
+        for slot in victims {
             self.evict_from(slot);
         }
         self.hide();

@@ -2,6 +2,7 @@
 
 use core::fmt;
 use core::hash::{Hash, Hasher};
+use core::hint::black_box;
 
 use crate::failure::Failure;
 use crate::id::{NodeId, PageId, SlotId};
@@ -169,6 +170,14 @@ impl<'s> PageTable<'s> {
     /// The slots, for a replacement policy to keep its order in.
     pub(crate) fn slots_mut(&mut self) -> &mut [SlotEntry] {
         self.slots
+    }
+
+    /// Reads the entries of the pages in `slots`, to no other end than that all are on their way from memory at once: whoever
+    /// works on one after the other then waits once.
+    pub(crate) fn begin_reading(&self, slots: &[SlotId]) {
+        for slot in slots {
+            black_box(self.page_in(*slot).and_then(|page| self.state(page)));
+        }
     }
 
     /// Pages of the address space.

@@ -21,7 +21,7 @@ use crate::area::Area;
 use crate::backend::{Backend, Record};
 use crate::failure::{PageFailure, Reason};
 use crate::foresight::{Ahead, Foresight};
-use crate::lent::Lent;
+use crate::lent::{Lent, table};
 use crate::lock::{Guard, Lock};
 use crate::sys::{self, Errno};
 use crate::words::{Ticket, Words};
@@ -421,9 +421,9 @@ impl Work<'_> {
 unsafe fn lend(placement: &Stripes, slot_count: u32) -> (Storage<'static>, LentStorage) {
     let owners = usize::from(placement.owner_count());
     // SAFETY: this function's contract is that of `Lent::lend`.
-    let (pages, lent_pages) = unsafe { Lent::lend(vec![PageEntry::EMPTY; placement.page_count() as usize]) };
+    let (pages, lent_pages) = unsafe { Lent::lend(table(PageEntry::EMPTY, placement.page_count() as usize)) };
     // SAFETY: as above.
-    let (slots, lent_slots) = unsafe { Lent::lend(vec![SlotEntry::EMPTY; slot_count as usize]) };
+    let (slots, lent_slots) = unsafe { Lent::lend(table(SlotEntry::EMPTY, slot_count as usize)) };
     // SAFETY: as above.
     let (peers, lent_peers) = unsafe { Lent::lend(vec![PeerEntry::EMPTY; owners]) };
     // SAFETY: as above.

@@ -201,10 +201,10 @@ pub(crate) unsafe fn protect(start: *mut u8, bytes: usize, protection: i32) -> R
     Ok(())
 }
 
-/// Gives advice about a range that changes no byte a reader may rely on: not to fork it, not to use huge pages.
+/// Gives advice about a range that changes no byte a reader may rely on: not to fork it, to use huge pages or not to.
 pub(crate) fn advise(start: *mut u8, bytes: usize, advice: i32) -> Result<(), Errno> {
-    debug_assert!(matches!(advice, libc::MADV_DONTFORK | libc::MADV_NOHUGEPAGE));
-    // SAFETY: neither advice changes contents in this process.
+    debug_assert!(matches!(advice, libc::MADV_DONTFORK | libc::MADV_NOHUGEPAGE | libc::MADV_HUGEPAGE));
+    // SAFETY: no such advice changes contents in this process.
     if unsafe { libc::madvise(start.cast(), bytes, advice) } == 0 { Ok(()) } else { Err(Errno::last()) }
 }
 
