@@ -43,6 +43,14 @@ pub enum Mutant {
     WrongReplicaIndex,
     /// A round trip is measured from the first sending, whichever was answered.
     MeasureFromFirst,
+    /// A request made ahead is given up when a fault would be, and holds its slot as long.
+    AheadTakesAllTime,
+    /// A page that was asked for ahead and cannot be had has failed, although nobody has missed it.
+    AheadFails,
+    /// A fault on a page asked for ahead waits until the request is given up, however old that is.
+    AdoptKeepsDeadline,
+    /// A fault on a page asked for ahead begins no round through the copies of its own.
+    AdoptKeepsRound,
 }
 
 #[cfg(mutants)]
@@ -54,7 +62,7 @@ mod switch {
 
     impl Mutant {
         /// All of them.
-        pub const ALL: [Self; 18] = [
+        pub const ALL: [Self; 22] = [
             Self::SkipEpochCheck,
             Self::SkipIncarnationCheck,
             Self::BelieveTheDead,
@@ -73,6 +81,10 @@ mod switch {
             Self::NeverBackOff,
             Self::WrongReplicaIndex,
             Self::MeasureFromFirst,
+            Self::AheadTakesAllTime,
+            Self::AheadFails,
+            Self::AdoptKeepsDeadline,
+            Self::AdoptKeepsRound,
         ];
     }
 

@@ -527,7 +527,7 @@ impl<'s, R: Replacement> Node<'s, R> {
 
     /// Gives `page` up. Its request has been taken out. Where nobody has waited for it yet, that is no failure.
     fn fail(&mut self, page: PageId, failure: Failure) {
-        if self.is_in_doubt(page) {
+        if self.is_in_doubt(page) && !mutants::is_on(Mutant::AheadFails) {
             return self.abandon(page);
         }
         if let Effect::Fail = self.apply(page, PageEvent::Expire) {

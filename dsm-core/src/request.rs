@@ -80,10 +80,11 @@ impl RequestEntry {
         if mutants::is_on(Mutant::NeverExpire) { self.resend_at } else { self.resend_at.min(self.deadline) }
     }
 
-    /// Feeds a hash with all of it but its number, times as distances from `now`.
-    pub(crate) fn fingerprint(&self, now: Instant, hasher: &mut impl Hasher) {
+    /// Feeds a hash with all of it but its number, times as distances from `now`. The sendings after a whole `round` through the
+    /// copies are all alike.
+    pub(crate) fn fingerprint(&self, now: Instant, round: u64, hasher: &mut impl Hasher) {
         (self.page, self.holder, self.port).hash(hasher);
-        (self.sendings.min(2), self.tries, self.asked, self.refused).hash(hasher);
+        (u64::from(self.sendings).min(round), self.tries, self.asked, self.refused).hash(hasher);
         (self.is_orphan, self.has_advanced, self.fragments).hash(hasher);
         (self.resend_at.since(now), self.deadline.since(now)).hash(hasher);
     }

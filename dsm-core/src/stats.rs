@@ -33,6 +33,10 @@ pub struct NodeStats {
     pub tile_prefetch: PrefetchStats,
     /// Pages asked for together with one that they follow.
     pub neighbour_prefetch: PrefetchStats,
+    /// Requests made ahead that a fault found under way: it waited for less than a whole one.
+    pub adopted_requests: u64,
+    /// Requests made ahead that were given up, while nobody waited for their pages.
+    pub abandoned_requests: u64,
     /// Pages granted and put into a slot.
     pub fetched_pages: u64,
     /// Bytes of those pages.

@@ -42,7 +42,14 @@ fn by_proptest() -> Option<String> {
 }
 
 fn by_stateright() -> Option<String> {
-    let clusters = [Cluster::RETURN, Cluster::FRAGMENTS, Cluster::ONE_COPY, Cluster::TWO_THREADS];
+    let clusters = [
+        Cluster::RETURN,
+        Cluster::FRAGMENTS,
+        Cluster::ONE_COPY,
+        Cluster::AHEAD_ONE_COPY,
+        Cluster::TWO_THREADS,
+        Cluster::AHEAD,
+    ];
     clusters.into_iter().find_map(|cluster| explore(cluster, true).broken)
 }
 

@@ -47,3 +47,19 @@ fn only_a_page_with_a_slot_gives_one_up_and_only_one_without_takes_one() {
         }
     }
 }
+
+#[test]
+fn the_drawing_has_every_state_and_every_event_that_changes_one() {
+    let architecture = include_str!("../../ARCHITECTURE.md");
+    let section = architecture.split("## The life of a page").nth(1).expect("the section");
+    let drawing = section.split("```").nth(1).expect("the drawing");
+    for state in PageState::ALL {
+        let moves: Vec<PageEvent> =
+            PageEvent::ALL.into_iter().filter(|event| state.on(*event).0 != state).collect();
+        // A node's own pages never move, so they are not drawn.
+        assert!(drawing.contains(&format!("{state:?}")) || state == PageState::Home, "{state:?}");
+        for event in moves {
+            assert!(drawing.contains(&format!("{event:?}")), "{state:?}: {event:?}");
+        }
+    }
+}

@@ -14,6 +14,7 @@
 //! | `ONE_ANSWER` | only an answer to the request that is under way has an effect |
 //! | `BACKS_OFF` | the time to the next sending to a silent peer doubles |
 //! | `KARN` | a round trip is measured from the sending that was answered, whichever that was |
+//! | `ADOPTION_RESTARTS` | a fault on a page asked for ahead has all the sendings before it that a request of its own would have |
 //! | `DEAD_ARE_LEFT` | what was asked of a node that is known to be dead is due at once |
 //! | `SURVIVES` | when the network delivers, every page with a live copy can be had |
 //!

@@ -245,17 +245,17 @@ impl Member {
         (sent, woken)
     }
 
-    /// Somebody waits for a page that may have been asked for ahead: the first time, its deadline begins again.
-    pub(crate) fn note_missed(&mut self, page: PageId, now: Instant) {
-        for thread in &mut self.threads {
-            if let Thread::Fetching(wait) = thread
-                && wait.page == page
-                && wait.is_ahead
-                && !wait.is_missed
-            {
+    /// Somebody waits for a page that may have been asked for ahead: the first time, its deadline begins again. Tells which
+    /// thread has asked, if so.
+    pub(crate) fn note_missed(&mut self, page: PageId, now: Instant) -> Option<usize> {
+        self.threads.iter_mut().position(|thread| {
+            let Thread::Fetching(wait) = thread else { return false };
+            let is_adopted = wait.page == page && wait.is_ahead && !wait.is_missed;
+            if is_adopted {
                 (wait.is_missed, wait.world_since) = (true, now);
             }
-        }
+            is_adopted
+        })
     }
 
     /// What a thread does after the node has answered its fault.

@@ -5,6 +5,8 @@ use dsm_core::node::Config;
 use dsm_core::placement::Stripes;
 use dsm_core::replacement::PolicyKind;
 
+use crate::member::Wait;
+
 /// What a cluster is made of.
 #[derive(Clone, Copy, Debug)]
 pub struct Setup {
@@ -102,6 +104,12 @@ impl Setup {
 
     pub(crate) const fn deadline_us(&self) -> u64 {
         if self.is_rigid { RIGID_DEADLINE_US } else { DEADLINE_US }
+    }
+
+    /// How long what a thread waits for may take. A page that was asked for ahead and that nobody has missed is given up
+    /// in half the time.
+    pub(crate) const fn patience_us(&self, wait: &Wait) -> u64 {
+        if wait.is_ahead && !wait.is_missed { self.deadline_us() / 2 } else { self.deadline_us() }
     }
 
     /// The configuration of one node.

@@ -16,6 +16,8 @@ pub struct Tally {
     pub neighbour_prefetch: u64,
     pub prefetch_used: u64,
     pub prefetch_wasted: u64,
+    pub adopted_requests: u64,
+    pub abandoned_requests: u64,
     pub dead_peers: u64,
     pub late_answers: u64,
     pub refused_messages: u64,
@@ -37,6 +39,8 @@ impl Tally {
             neighbour_prefetch: self.neighbour_prefetch + other.neighbour_prefetch,
             prefetch_used: self.prefetch_used + other.prefetch_used,
             prefetch_wasted: self.prefetch_wasted + other.prefetch_wasted,
+            adopted_requests: self.adopted_requests + other.adopted_requests,
+            abandoned_requests: self.abandoned_requests + other.abandoned_requests,
             dead_peers: self.dead_peers + other.dead_peers,
             late_answers: self.late_answers + other.late_answers,
             refused_messages: self.refused_messages + other.refused_messages,
@@ -46,7 +50,7 @@ impl Tally {
 
     /// Each count with its name.
     #[must_use]
-    pub const fn named(&self) -> [(&'static str, u64); 14] {
+    pub const fn named(&self) -> [(&'static str, u64); 16] {
         [
             ("faults", self.faults),
             ("fetched pages", self.fetched_pages),
@@ -58,6 +62,8 @@ impl Tally {
             ("pages asked for along with another", self.neighbour_prefetch),
             ("of these, used", self.prefetch_used),
             ("of these, wasted", self.prefetch_wasted),
+            ("faults on pages asked for ahead", self.adopted_requests),
+            ("requests made ahead and given up", self.abandoned_requests),
             ("dead peers", self.dead_peers),
             ("late answers", self.late_answers),
             ("refused messages", self.refused_messages),
@@ -76,6 +82,8 @@ impl Tally {
         self.neighbour_prefetch += stats.neighbour_prefetch.asked;
         self.prefetch_used += stats.prefetch().used;
         self.prefetch_wasted += stats.prefetch().wasted;
+        self.adopted_requests += stats.adopted_requests;
+        self.abandoned_requests += stats.abandoned_requests;
         self.dead_peers += stats.dead_peers;
         self.late_answers += stats.late_answers;
         self.refused_messages += stats.refused_messages;

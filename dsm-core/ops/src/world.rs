@@ -321,9 +321,7 @@ impl World {
             Fault::Failed(_) => self.failed += 1,
             Fault::Fetch | Fault::Show | Fault::Wait | Fault::Full => {}
         }
-        if answer == Fault::Wait {
-            member.note_missed(page, world_now);
-        }
+        let adopted = if answer == Fault::Wait { member.note_missed(page, world_now) } else { None };
         let wait = again.unwrap_or(Wait {
             page,
             since: now,
@@ -332,10 +330,32 @@ impl World {
             is_missed: false,
         });
         member.settle(thread, answer, wait);
+        if let Some(fetcher) = adopted {
+            self.check_adopted(node, fetcher, wait);
+        }
         self.carry_out(node, sent, woken);
         if answer == Fault::Fetch {
             self.bring_neighbours(node, thread, page);
         }
+    }
+
+    /// A thread has missed a page that `fetcher` has asked for ahead: its request has all the sendings before it that one of
+    /// its own would have, and all the time. `ADOPTION_RESTARTS`.
+    fn check_adopted(&mut self, node: usize, fetcher: usize, wait: Wait) {
+        // With neighbours, or a clock that jumped, when a request is due cannot be known from the outside.
+        let member = &mut self.members[node];
+        let is_asked = member.with_node(|node| node.table().state(wait.page)) == Some(PageState::Requested);
+        if !is_asked || self.setup.neighbours > 0 || member.slack_us > 0 {
+            return;
+        }
+        let left_us = self.setup.deadline_us().saturating_sub(self.now.since(wait.world_since));
+        let share_us = left_us / (u64::from(self.setup.replicas) * u64::from(self.setup.tries) + 1);
+        let next = member.next_timer(fetcher);
+        assert!(
+            next.is_some_and(|next| next <= self.now.after(share_us)),
+            "ADOPTION_RESTARTS: {} is asked for again at {next:?}, and has {share_us} us of {left_us}",
+            wait.page
+        );
     }
 
     /// A thread has missed a page and asks for some that follow it. It looks after them as after all that left through its
@@ -395,8 +415,7 @@ impl World {
                 && self.setup.neighbours == 0
                 && !self.setup.is_rigid
             {
-                let in_us = if wait.is_ahead && !wait.is_missed { DEADLINE_US / 2 } else { DEADLINE_US };
-                let left_us = in_us.saturating_sub(now.since(wait.world_since));
+                let left_us = self.setup.patience_us(&wait).saturating_sub(now.since(wait.world_since));
                 let round = u64::from(self.setup.replicas) * u64::from(self.setup.tries);
                 member.oracle.note_interval(message.page, next.since(now), left_us / (round + 1));
             }
@@ -498,8 +517,8 @@ impl World {
         let member = &self.members[node];
         if let Thread::Fetching(wait) = member.threads[thread] {
             let waited = self.now.since(wait.world_since);
-            let is_late =
-                waited > self.setup.deadline_us() + member.slack_us && !member.is_filling(wait.page);
+            let in_us = self.setup.patience_us(&wait);
+            let is_late = waited > in_us + member.slack_us && !member.is_filling(wait.page);
             assert!(!is_late, "NO_LOST_WAITER: {} is asked for {waited} us after its fault", wait.page);
         }
     }

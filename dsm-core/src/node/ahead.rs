@@ -2,6 +2,7 @@
 
 use super::{EVICT_BATCH_MAX, Node};
 use crate::id::{PageId, PortId, SlotId};
+use crate::mutants::{self, Mutant};
 use crate::page_state::{Effect, PageEvent, PageState};
 use crate::prefetch::Foretold;
 use crate::replacement::Replacement;
@@ -50,7 +51,9 @@ impl<R: Replacement> Node<'_, R> {
                 self.table.slots_mut()[slot.index()].prefetched = Some(foretold);
             }
             // Given up in half the time, it leaves who waits for its slot or its request the other half.
-            self.begin_request(now, page, port, self.config.deadline_us / 2);
+            let elapsed_us =
+                if mutants::is_on(Mutant::AheadTakesAllTime) { 0 } else { self.config.deadline_us / 2 };
+            self.begin_request(now, page, port, elapsed_us);
         }
         true
     }
@@ -95,7 +98,13 @@ impl<R: Replacement> Node<'_, R> {
         let share_us = left_us / (self.config.round() + 1);
         let holders = self.config.placement.holders(page);
         if let Some(request) = self.requests.iter_mut().find(|request| request.page == page) {
-            request.deadline = now.after(left_us);
+            self.stats.adopted_requests += 1;
+            if !mutants::is_on(Mutant::AdoptKeepsDeadline) {
+                request.deadline = now.after(left_us);
+            }
+            if mutants::is_on(Mutant::AdoptKeepsRound) {
+                return;
+            }
             request.resend_at = request.resend_at.min(now.after(share_us));
             request.sendings = 0;
             // Who was asked earlier may be back; the one that is being asked has its turn.
@@ -108,6 +117,7 @@ impl<R: Replacement> Node<'_, R> {
     pub(super) fn abandon(&mut self, page: PageId) {
         self.table.slot(page).into_iter().for_each(|slot| self.judge(slot, false));
         if let Effect::Forget = self.apply(page, PageEvent::Abandon) {
+            self.stats.abandoned_requests += 1;
             self.wake(page);
         }
     }

@@ -91,19 +91,19 @@ impl<R: Replacement> Node<'_, R> {
     /// Feeds a hash with all that decides what this node will do from `now` on: two nodes of the same configuration and
     /// policy that feed it alike behave alike.
     ///
-    /// Times go in as distances from now, requests without their numbers; what was counted does not, nor how prefetch has
-    /// paid so far, nor what only makes a
-    /// difference to a time whose bounds leave no choice. So a model that returns to where it was finds that it did. The
+    /// Times go in as distances from now, requests without their numbers; of how prefetch has paid so far, whether it goes
+    /// on; what was counted does not, nor what only makes a difference to a time whose bounds leave no choice. So a model that returns to where it was finds that it did. The
     /// order that a policy keeps outside the slots does not go in either; with one slot there is none.
     pub fn fingerprint(&self, now: Instant, hasher: &mut impl Hasher) {
         let mut clock = self.clock;
         let now = clock.advance(now);
         self.table.fingerprint(hasher);
         self.slot_waited_for.hash(hasher);
+        self.prefetch.allows_tiles().hash(hasher);
         self.membership.fingerprint(now, hasher);
         for page in (0..self.table.page_count()).map(PageId) {
             if let Some(request) = self.requests.iter().find(|request| request.page == page) {
-                request.fingerprint(now, hasher);
+                request.fingerprint(now, self.config.round(), hasher);
             }
         }
     }

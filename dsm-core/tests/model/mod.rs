@@ -46,6 +46,8 @@ struct Reached {
     death: bool,
     restart: bool,
     late: bool,
+    adoption: bool,
+    abandonment: bool,
 }
 
 /// What came of it.
@@ -72,6 +74,8 @@ pub(crate) const FAILOVER: &str = "another copy is asked";
 pub(crate) const DEATH: &str = "a peer is found dead";
 pub(crate) const RETURN: &str = "a new incarnation answers";
 pub(crate) const LATE: &str = "an answer comes late";
+pub(crate) const ADOPTION: &str = "a fault finds its page asked for ahead";
+pub(crate) const ABANDONMENT: &str = "a page asked for ahead is given up";
 
 impl Cluster {
     /// What the protocol is asked to survive first of all.
@@ -95,6 +99,8 @@ impl Cluster {
     /// Every page is lost with its home.
     pub(crate) const ONE_COPY: Self =
         Self { replicas: 1, threads: 1, budget: Budget { crashes: 1, ..Budget::NONE }, ..Self::TWO_THREADS };
+    /// What was asked for ahead may be lost with its home, before or after somebody misses it.
+    pub(crate) const AHEAD_ONE_COPY: Self = Self { asks_ahead: true, ..Self::ONE_COPY };
 }
 
 impl Budget {
@@ -118,7 +124,8 @@ impl Model for Cluster {
             fragments: self.fragments,
             tries: 1,
             is_rigid: true,
-            buries_early: self.replicas > 1,
+            // Who asks ahead for what cannot be had may ask again and again, until the owner is dead to it.
+            buries_early: self.replicas > 1 || self.asks_ahead,
             ..Setup::SMALL
         };
         vec![State {
@@ -185,6 +192,8 @@ impl Model for Cluster {
             Property::sometimes(DEATH, |_, state: &State| state.reached.death),
             Property::sometimes(RETURN, |_, state: &State| state.reached.restart),
             Property::sometimes(LATE, |_, state: &State| state.reached.late),
+            Property::sometimes(ADOPTION, |_, state: &State| state.reached.adoption),
+            Property::sometimes(ABANDONMENT, |_, state: &State| state.reached.abandonment),
         ]
     }
 }
@@ -221,6 +230,8 @@ impl Reached {
         self.death |= tally.dead_peers > 0;
         self.restart |= tally.restarts > 0 && tally.fetched_pages > 0;
         self.late |= tally.late_answers > 0;
+        self.adoption |= tally.adopted_requests > 0;
+        self.abandonment |= tally.abandoned_requests > 0;
     }
 }
 
@@ -253,7 +264,7 @@ pub(crate) fn explore(cluster: Cluster, until_broken: bool) -> Explored {
             broken.get_or_insert(format!("{name}: {why}\n{:?}", path.into_actions()));
         }
     }
-    let reachable = [EVICTION, FAILOVER, DEATH, RETURN, LATE];
+    let reachable = [EVICTION, FAILOVER, DEATH, RETURN, LATE, ADOPTION, ABANDONMENT];
     let unreached = reachable.into_iter().filter(|name| checker.discovery(name).is_none()).collect();
     Explored { states: checker.unique_state_count(), transitions: checker.state_count(), broken, unreached }
 }
