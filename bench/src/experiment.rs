@@ -4,7 +4,7 @@ use anyhow::Result;
 
 use crate::findings::Findings;
 use crate::{balance, embree, fig5, fig7, gather, iso, iso_error, left_out};
-use crate::{paging_core, replacement, scaling, sim, step_aside, table1, table3, triangle_tests};
+use crate::{paging_core, prefetch, replacement, scaling, sim, step_aside, table1, table3, triangle_tests};
 
 /// An experiment: its name on the command line, what it shows, how it is run.
 #[derive(Debug)]
@@ -36,6 +36,7 @@ pub(crate) const ALL: &[Experiment] = &[
     balance::EXPERIMENT,
     fig5::EXPERIMENT,
     replacement::EXPERIMENT,
+    prefetch::EXPERIMENT,
     step_aside::EXPERIMENT,
     gather::EXPERIMENT,
     embree::EXPERIMENT,

@@ -52,6 +52,7 @@ mod owner;
 mod paging_core;
 mod peers;
 mod plot;
+mod prefetch;
 mod quiet;
 mod replacement;
 mod scaling;

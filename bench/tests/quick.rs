@@ -36,6 +36,7 @@ fn every_experiment_runs_and_writes_what_it_found() {
         "table3",
         "balance",
         "replacement",
+        "prefetch",
         "step-aside",
         "gather",
         "embree",

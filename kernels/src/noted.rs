@@ -21,7 +21,7 @@ pub struct Notes {
 
 /// A scene's memory, and notes of which pages of it are used.
 ///
-/// A record of the same page as the one before costs a shift and a comparison.
+/// A record of a page that is noted costs a look at its bit.
 #[derive(Clone, Copy, Debug)]
 pub struct Noted<'a, M> {
     memory: M,
@@ -71,32 +71,35 @@ impl Notes {
     #[inline]
     fn record(&self, offset: u64) {
         let page = offset >> self.page_shift;
-        if page != self.last.get() {
+        if !self.is_once || !self.is_noted(page) {
             self.note(page);
         }
+    }
+
+    /// Whether a page is in `pages`. No look at the page before: half of all records lie on another.
+    #[inline]
+    fn is_noted(&self, page: u64) -> bool {
+        let word = usize::try_from(page / 64).ok().and_then(|word| self.seen.get(word));
+        word.is_some_and(|word| word.get() >> (page % 64) & 1 != 0)
     }
 
     /// Whether the page at `offset` is here: one of its records has been used since the pages were taken.
     #[inline]
     fn holds(&self, offset: u64) -> bool {
-        if !self.may_miss {
-            return true;
-        }
-        let page = offset >> self.page_shift;
-        let word = usize::try_from(page / 64).ok().and_then(|word| self.seen.get(word));
-        word.is_some_and(|word| word.get() >> (page % 64) & 1 != 0)
+        !self.may_miss || self.is_noted(offset >> self.page_shift)
     }
 
+    #[cold]
     #[inline(never)]
     fn note(&self, page: u64) {
-        self.last.set(page);
+        // Where every touch counts, one after another of the same page is the same.
+        if self.last.replace(page) == page && !self.is_once {
+            return;
+        }
         let Ok(number) = u32::try_from(page) else { return };
         let Some(word) = self.seen.get(PageId(number).index() / 64) else { return };
-        let bit = 1 << (page % 64);
-        if !self.is_once || word.get() & bit == 0 {
-            word.set(word.get() | bit);
-            self.pages.borrow_mut().push(PageId(number));
-        }
+        word.set(word.get() | 1 << (page % 64));
+        self.pages.borrow_mut().push(PageId(number));
     }
 }
 
