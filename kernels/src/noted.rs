@@ -21,7 +21,7 @@ pub struct Notes {
 
 /// A scene's memory, and notes of which pages of it are used.
 ///
-/// A record of a page that is noted costs a look at its bit.
+/// A record of the same page as the one before costs a shift and a comparison, one of another page that is noted a look at its bit.
 #[derive(Clone, Copy, Debug)]
 pub struct Noted<'a, M> {
     memory: M,
@@ -71,12 +71,12 @@ impl Notes {
     #[inline]
     fn record(&self, offset: u64) {
         let page = offset >> self.page_shift;
-        if !self.is_once || !self.is_noted(page) {
+        if self.last.replace(page) != page && (!self.is_once || !self.is_noted(page)) {
             self.note(page);
         }
     }
 
-    /// Whether a page is in `pages`. No look at the page before: half of all records lie on another.
+    /// Whether a page is in `pages`.
     #[inline]
     fn is_noted(&self, page: u64) -> bool {
         let word = usize::try_from(page / 64).ok().and_then(|word| self.seen.get(word));
@@ -92,10 +92,6 @@ impl Notes {
     #[cold]
     #[inline(never)]
     fn note(&self, page: u64) {
-        // Where every touch counts, one after another of the same page is the same.
-        if self.last.replace(page) == page && !self.is_once {
-            return;
-        }
         let Ok(number) = u32::try_from(page) else { return };
         let Some(word) = self.seen.get(PageId(number).index() / 64) else { return };
         word.set(word.get() | 1 << (page % 64));
