@@ -47,7 +47,9 @@ impl Frustum {
             return None;
         }
         let allowance = reach * (1.0 / 65_536.0);
-        let negative = |axis: usize| if depth[axis] < 0.0 { FLIP_AXIS[axis] } else { 0 };
+        // Along the tile's own middle, which may go the other way than the camera's axis where that is about level.
+        let along = projection.middle();
+        let negative = |axis: usize| if along[axis] < 0.0 { FLIP_AXIS[axis] } else { 0 };
         let [a, b, c, d] = borders;
         let mut patterns = [[[0.0; LANES]; 4]; 5];
         for (pattern, (n, sign)) in
