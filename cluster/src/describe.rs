@@ -46,34 +46,44 @@ pub(crate) fn describe_trace(trace: &Trace) -> String {
 /// What is in a scene image, one fact a line.
 pub(crate) fn describe(info: &Info) -> String {
     let percent = |part: u64| 100.0 * part as f64 / info.image_bytes.max(1) as f64;
-    let mut lines = vec![
-        ("uses", info.needs.to_string()),
+    let mut lines = vec![("uses", info.needs.to_string())];
+    if info.triangles + info.spheres > 0 {
+        lines.extend(describe_primitives(info));
+    }
+    if let Some(volume) = &info.volume {
+        lines.extend(describe_volume(volume));
+    }
+    lines.extend([
+        ("view", format!("{} to {}", info.view.low, info.view.high)),
+        ("image", Bytes(info.image_bytes).to_string()),
+        ("pages", format!("{} of {}", thousands(info.pages), Bytes(info.page_bytes.into()))),
+    ]);
+    lines.extend(info.segments.map(|(kind, bytes)| {
+        ("", format!("{:8} {:>9} {:5.1} %", kind.to_string(), Bytes(bytes).to_string(), percent(bytes)))
+    }));
+    lines.iter().map(|(what, value)| format!("{what:>12}  {value}")).collect::<Vec<_>>().join("\n")
+}
+
+/// Facts about triangles and spheres, and the grid they lie in.
+fn describe_primitives(info: &Info) -> [(&'static str, String); 11] {
+    let of_primitives =
+        format!("{} of {:.1} primitives", thousands(info.clusters.into()), info.primitives_per_cluster);
+    [
         ("triangles", thousands(info.triangles)),
         ("spheres", thousands(info.spheres)),
         ("never hit", format!("{} with two corners in one point or no radius", thousands(info.collapsed))),
         ("vertices", thousands(info.vertices)),
         ("bounds", format!("{} to {}", info.bounds.low, info.bounds.high)),
-        ("view", format!("{} to {}", info.view.low, info.view.high)),
         ("typical edge", format!("{}", info.typical_edge)),
-        ("image", Bytes(info.image_bytes).to_string()),
-        ("pages", format!("{} of {}", thousands(info.pages), Bytes(info.page_bytes.into()))),
-        ("a primitive", format!("{:.2} bytes", info.bytes_per_primitive)),
+        ("a primitive", format!("{:.2} bytes of the image", info.bytes_per_primitive)),
         ("copies", format!("{:.3} stored for each primitive", info.duplication)),
         ("levels", info.levels.to_string()),
-        ("branches", thousands(info.branches.into())),
-        ("leaves", thousands(info.leaves.into())),
         (
-            "clusters",
-            format!("{} of {:.1} primitives", thousands(info.clusters.into()), info.primitives_per_cluster),
+            "branches",
+            format!("{} and {} leaves", thousands(info.branches.into()), thousands(info.leaves.into())),
         ),
-    ];
-    if let Some(volume) = &info.volume {
-        lines.extend(describe_volume(volume));
-    }
-    lines.extend(info.segments.map(|(kind, bytes)| {
-        ("", format!("{:8} {:>9} {:5.1} %", kind.to_string(), Bytes(bytes).to_string(), percent(bytes)))
-    }));
-    lines.iter().map(|(what, value)| format!("{what:>12}  {value}")).collect::<Vec<_>>().join("\n")
+        ("clusters", of_primitives),
+    ]
 }
 
 /// Facts about a volume: what, and how much.
