@@ -47,10 +47,8 @@ pub enum Mutant {
     AheadTakesAllTime,
     /// A page that was asked for ahead and cannot be had has failed, although nobody has missed it.
     AheadFails,
-    /// A fault on a page asked for ahead waits until the request is given up, however old that is.
-    AdoptKeepsDeadline,
-    /// A fault on a page asked for ahead begins no round through the copies of its own.
-    AdoptKeepsRound,
+    /// A fault on a page asked for ahead begins neither a time nor a round through the copies of its own.
+    AdoptChangesNothing,
 }
 
 #[cfg(mutants)]
@@ -62,7 +60,7 @@ mod switch {
 
     impl Mutant {
         /// All of them.
-        pub const ALL: [Self; 22] = [
+        pub const ALL: [Self; 21] = [
             Self::SkipEpochCheck,
             Self::SkipIncarnationCheck,
             Self::BelieveTheDead,
@@ -83,8 +81,7 @@ mod switch {
             Self::MeasureFromFirst,
             Self::AheadTakesAllTime,
             Self::AheadFails,
-            Self::AdoptKeepsDeadline,
-            Self::AdoptKeepsRound,
+            Self::AdoptChangesNothing,
         ];
     }
 

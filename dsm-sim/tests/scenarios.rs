@@ -166,6 +166,9 @@ fn faults_of_the_protocol_are_found_out() {
         }
     }
     let _ = std::panic::take_hook();
-    // Whom a page comes from makes no difference to its bytes while an epoch lasts: other engines look at these two.
-    assert_eq!(missed, ["SkipIncarnationCheck", "BelieveTheDead"]);
+    // Whom a page comes from makes no difference to its bytes while an epoch lasts, and nothing is asked for ahead here: other
+    // engines look at these.
+    let of_others =
+        ["SkipIncarnationCheck", "BelieveTheDead", "AheadTakesAllTime", "AheadFails", "AdoptChangesNothing"];
+    assert_eq!(missed, of_others);
 }

@@ -99,12 +99,10 @@ impl<R: Replacement> Node<'_, R> {
         let holders = self.config.placement.holders(page);
         if let Some(request) = self.requests.iter_mut().find(|request| request.page == page) {
             self.stats.adopted_requests += 1;
-            if !mutants::is_on(Mutant::AdoptKeepsDeadline) {
-                request.deadline = now.after(left_us);
-            }
-            if mutants::is_on(Mutant::AdoptKeepsRound) {
+            if mutants::is_on(Mutant::AdoptChangesNothing) {
                 return;
             }
+            request.deadline = now.after(left_us);
             request.resend_at = request.resend_at.min(now.after(share_us));
             request.sendings = 0;
             // Who was asked earlier may be back; the one that is being asked has its turn.
