@@ -18,6 +18,7 @@ use scene::{BuildOptions, build, builtin, read_mesh};
 use crate::data;
 use crate::experiment::{Effort, Experiment};
 use crate::findings::{Aim, Findings};
+use crate::plot::{Axis, Chart, Line, Plot};
 use crate::table::{Cell, Table};
 
 pub(crate) const EXPERIMENT: Experiment = Experiment {
@@ -95,7 +96,7 @@ fn measure(image: &Path, name: &str, effort: Effort) -> Result<Findings> {
         "wasted",
     ];
     let mut table = Table::new("prefetch", title, &heads);
-    let mut aims = Vec::new();
+    let (mut aims, mut lines) = (Vec::new(), Vec::new());
     for (camera, way) in CAMERAS {
         let mut runs = Vec::new();
         for ahead in WAYS_AHEAD {
@@ -106,6 +107,10 @@ fn measure(image: &Path, name: &str, effort: Effort) -> Result<Findings> {
         expect_same_images(&runs)?;
         let none = &runs[0];
         runs.iter().for_each(|ran| table.push(ran.row(camera, none)));
+        lines.push(Line {
+            name: camera.to_owned(),
+            points: (0..).map(f64::from).zip(runs.iter().map(|ran| ran.misses() / none.misses())).collect(),
+        });
         aims.extend(runs[1..].iter().flat_map(|ran| ran.aims(camera, none)));
         if effort.is_quick() {
             let tiles = runs.iter().find(|ran| ran.ahead == Prefetch::Tiles).context("tiles are tried")?;
@@ -115,7 +120,10 @@ fn measure(image: &Path, name: &str, effort: Effort) -> Result<Findings> {
     }
     table.note("misses: loads of all nodes that met an absent page; the first frame, which finds the caches empty, is among the others");
     table.note("asked, used, wasted: pages asked for ahead; those that are neither used nor wasted are still there, in doubt");
-    Ok(Findings { tables: vec![table], aims, plot: None })
+    let x = Axis { label: "none, neighbours, tiles, both", is_logarithmic: false };
+    let y = Axis { label: "misses over those without prefetch", is_logarithmic: false };
+    let chart = Chart { title: format!("{name}: what is asked for ahead"), x, y, lines };
+    Ok(Findings { tables: vec![table], aims, plot: Some(Plot { charts: vec![chart] }) })
 }
 
 fn options(
