@@ -41,4 +41,6 @@ macro_rules! draw {
     )*};
 }
 
-draw!(Flat<'_>, Noted<'_, Flat<'_>>, Noted<'_, Pinned<'_>>);
+draw!(Noted<'_, Flat<'_>>, Noted<'_, Pinned<'_>>);
+#[cfg(feature = "flat")]
+draw!(Flat<'_>);
