@@ -9,7 +9,7 @@ use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use memsavvy::report::RunReport;
 use memsavvy::run::{self, Options, Source};
 use memsavvy::session::Path as Way;
@@ -20,6 +20,7 @@ use scene::{BuildOptions, Mesh, build, builtin, read_mesh};
 use crate::data;
 use crate::experiment::{Effort, Experiment};
 use crate::findings::{Aim, Findings};
+use crate::images::Images;
 use crate::plot::{Axis, Chart, Line, Plot};
 use crate::spread::Spread;
 use crate::table::{Cell, Table};
@@ -103,7 +104,8 @@ fn measure(image: &Path, name: &str, effort: Effort) -> Result<Findings> {
         }
         all.extend(runs);
     }
-    expect_same_images(&all)?;
+    let mut images = Images::default();
+    all.iter().flat_map(|of| &of.runs).try_for_each(|run| images.expect_same(run))?;
     Ok(Findings {
         tables: vec![table(&all, name, frames, size, reps)],
         aims: aims(&all),
@@ -132,16 +134,6 @@ fn options(image: &Path, balance: Balancer, share: u32, frames: u32, size: u32) 
         quiet: true,
         ..Options::default()
     })
-}
-
-fn expect_same_images(all: &[Runs]) -> Result<()> {
-    let hashes = |run: &RunReport| -> Vec<String> {
-        run.frames.iter().map(|frame| frame.image_hash.clone()).collect()
-    };
-    let mut runs = all.iter().flat_map(|of| &of.runs).map(hashes);
-    let first = runs.next().unwrap_or_default();
-    ensure!(runs.all(|other| other == first), "SAME_IMAGE: two balancers draw different pictures");
-    Ok(())
 }
 
 impl Runs {

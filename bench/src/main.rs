@@ -43,6 +43,7 @@ mod fig5;
 mod fig7;
 mod findings;
 mod gather;
+mod images;
 mod iso;
 mod iso_error;
 mod left_out;

@@ -18,6 +18,7 @@ use scene::{BuildOptions, build, builtin, read_mesh};
 use crate::data;
 use crate::experiment::{Effort, Experiment};
 use crate::findings::{Aim, Findings};
+use crate::images::Images;
 use crate::plot::{Axis, Chart, Line, Plot};
 use crate::table::{Cell, Table};
 
@@ -104,7 +105,8 @@ fn measure(image: &Path, name: &str, effort: Effort) -> Result<Findings> {
             let options = options(image, (way, frames), ahead, (nodes, size))?;
             runs.push(Ran { ahead, report: run::run(&options, |_| Ok(()))? });
         }
-        expect_same_images(&runs)?;
+        let mut images = Images::default();
+        runs.iter().try_for_each(|ran| images.expect_same(&ran.report))?;
         let none = &runs[0];
         runs.iter().for_each(|ran| table.push(ran.row(camera, none)));
         lines.push(Line {
@@ -147,14 +149,6 @@ fn options(
         quiet: true,
         ..Options::default()
     })
-}
-
-fn expect_same_images(runs: &[Ran]) -> Result<()> {
-    let hashes = |ran: &Ran| -> Vec<String> {
-        ran.report.frames.iter().map(|frame| frame.image_hash.clone()).collect()
-    };
-    ensure!(runs.iter().all(|ran| hashes(ran) == hashes(&runs[0])), "SAME_IMAGE: prefetch changes a picture");
-    Ok(())
 }
 
 const fn name_of(ahead: Prefetch) -> &'static str {

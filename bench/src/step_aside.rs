@@ -6,7 +6,7 @@
 use core::num::NonZeroU16;
 use core::time::Duration;
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use memsavvy::report::RunReport;
 use memsavvy::run::{self, Options, Prefetch, Source, TransportKind};
 use memsavvy::session::{Path, Session};
@@ -16,6 +16,7 @@ use scene::builtin::BuiltIn;
 use crate::data;
 use crate::experiment::{Effort, Experiment};
 use crate::findings::{Aim, Findings};
+use crate::images::Images;
 use crate::machine::cores;
 use crate::plot::{Axis, Chart, Line, Plot};
 use crate::spread::Spread;
@@ -83,7 +84,8 @@ fn run(effort: Effort) -> Result<Findings> {
         }
         all.extend(runs);
     }
-    expect_same_images(&all)?;
+    let mut images = Images::default();
+    all.iter().flat_map(|of| &of.runs).try_for_each(|run| images.expect_same(run))?;
     let title = format!(
         "{name}: {size}x{size}, {frames} frames of two degrees each, 16 % memory a node and a store, {} cores, median of {reps}",
         cores()
@@ -114,16 +116,6 @@ fn options(source: &Source, session: &Session, place: Place, way: Way, size: u32
         quiet: true,
         ..Options::default()
     }
-}
-
-fn expect_same_images(all: &[Runs]) -> Result<()> {
-    let hashes = |run: &RunReport| -> Vec<String> {
-        run.frames.iter().map(|frame| frame.image_hash.clone()).collect()
-    };
-    let mut runs = all.iter().flat_map(|of| &of.runs).map(hashes);
-    let first = runs.next().unwrap_or_default();
-    ensure!(runs.all(|other| other == first), "SAME_IMAGE: two ways draw different pictures");
-    Ok(())
 }
 
 impl Place {

@@ -25,7 +25,7 @@ pub(crate) fn describe_session(session: &Session) -> String {
         ("eye", format!("{:.3?} to {:.3?} diagonals from the centre", first.aim.eye, last.aim.eye)),
         ("isovalues", format!("{} to {}", shown(first), shown(last))),
     ];
-    lines.iter().map(|(what, value)| format!("{what:>12}  {value}")).collect::<Vec<_>>().join("\n")
+    one_a_line(&lines)
 }
 
 /// What is in a trace, one fact a line.
@@ -40,7 +40,7 @@ pub(crate) fn describe_trace(trace: &Trace) -> String {
         ("a tile", format!("{:.1} pages", trace.pages_per_tile())),
         ("touches", thousands(trace.touch_count())),
     ];
-    lines.iter().map(|(what, value)| format!("{what:>12}  {value}")).collect::<Vec<_>>().join("\n")
+    one_a_line(&lines)
 }
 
 /// What is in a scene image, one fact a line.
@@ -61,7 +61,7 @@ pub(crate) fn describe(info: &Info) -> String {
     lines.extend(info.segments.map(|(kind, bytes)| {
         ("", format!("{:8} {:>9} {:5.1} %", kind.to_string(), Bytes(bytes).to_string(), percent(bytes)))
     }));
-    lines.iter().map(|(what, value)| format!("{what:>12}  {value}")).collect::<Vec<_>>().join("\n")
+    one_a_line(&lines)
 }
 
 /// Facts about triangles and spheres, and the grid they lie in.
@@ -97,6 +97,10 @@ fn describe_volume(volume: &Volume) -> [(&'static str, String); 4] {
         ("bricks", format!("{} stored of {}", thousands(volume.bricks), thousands(bricks))),
         ("ranges", format!("{} on {} levels", thousands(volume.branches), volume.levels)),
     ]
+}
+
+fn one_a_line(facts: &[(&str, String)]) -> String {
+    facts.iter().map(|(what, value)| format!("{what:>12}  {value}")).collect::<Vec<_>>().join("\n")
 }
 
 /// The histogram as bars, and the isovalue that it suggests.

@@ -21,11 +21,11 @@ use scene::write_volume;
 
 use crate::experiment::{Effort, Experiment};
 use crate::findings::{Aim, Findings};
+use crate::images::Images;
 use crate::machine;
 use crate::peers::folder::Folder;
 use crate::plot::{Axis, Chart, Line, Plot};
 use crate::quiet;
-use crate::scaling::Images;
 use crate::table::{Cell, Table};
 use crate::volumes::{self, Subject};
 use sessions::{Part, Sessions};

@@ -3,7 +3,7 @@
 use core::num::NonZeroU16;
 use core::time::Duration;
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use memsavvy::report::RunReport;
 use memsavvy::run::{self, Options, Source};
 use memsavvy::size::PictureSize;
@@ -14,6 +14,7 @@ use super::frames::Camera;
 use crate::data;
 use crate::experiment::Effort;
 use crate::findings::Aim;
+use crate::images::Images;
 use crate::spread::Spread;
 use crate::table::{Cell, Table};
 
@@ -30,12 +31,11 @@ pub(crate) fn run(effort: Effort, amount: Amount) -> Result<(Table, Vec<Aim>)> {
     let (mut table, mut aims) = (Table::new("clusters", title, &heads), Vec::new());
     let (name, source) = source(effort);
     for camera in Camera::ALL {
-        let mut first: Option<Vec<String>> = None;
+        let mut images = Images::default();
         for displays in DISPLAYS {
             effort.say(&format!("{name} {}: {displays} displays", camera.name()));
             let report = run::run(&options(&source, camera, displays, amount)?, |_| Ok(()))?;
-            let images: Vec<String> = report.frames.iter().map(|frame| frame.image_hash.clone()).collect();
-            ensure!(*first.get_or_insert_with(|| images.clone()) == images, "SAME_IMAGE over displays");
+            images.expect_same(&report)?;
             let later = Later::of(&report);
             let tiles = f64::from(amount.size.div_ceil(rt_core::TILE_SIZE).pow(2));
             let us = later.ms * 1000.0 / tiles;

@@ -5,8 +5,9 @@ use memsavvy::run::Options;
 use rt_core::Kernel;
 
 use super::scenes::{Scene, Scenes};
-use super::{Amount, Holds, Images, Shape};
+use super::{Amount, Holds, Shape};
 use crate::experiment::Effort;
+use crate::images::Images;
 use crate::spread::Spread;
 use crate::table::{Cell, Table};
 

@@ -7,8 +7,9 @@ use memsavvy::run::{self, Options, Prefetch};
 use rt_core::{Kernel, Lanes};
 
 use super::scenes::{Scene, Scenes};
-use super::{Amount, Holds, Images, Shape};
+use super::{Amount, Holds, Shape};
 use crate::findings::Aim;
+use crate::images::Images;
 use crate::table::{Cell, Table};
 
 /// Counts the misses of both kernels on all scenes with 16 % memory.

@@ -7,7 +7,7 @@ mod scenes;
 use core::num::NonZeroU16;
 use core::time::Duration;
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use fault_linux::BackendKind;
 use memsavvy::report::RunReport;
 use memsavvy::run::{self, Options};
@@ -16,6 +16,7 @@ use memsavvy::size::{Memory, PictureSize};
 
 use crate::experiment::{Effort, Experiment};
 use crate::findings::{Aim, Findings};
+use crate::images::Images;
 use crate::machine;
 use crate::plot::{Axis, Chart, Line, Plot};
 use crate::quiet;
@@ -101,24 +102,6 @@ fn round(scene: &Scene, amount: Amount, images: &mut Images) -> Result<Vec<RunRe
         Ok(run)
     };
     amount.shapes().map(run).collect()
-}
-
-/// The pictures that all runs on a scene must show: nothing is timed of a run that shows others.
-#[derive(Debug, Default)]
-pub(crate) struct Images {
-    frames: Option<Vec<String>>,
-}
-
-impl Images {
-    pub(crate) fn expect_same(&mut self, run: &RunReport) -> Result<()> {
-        let frames: Vec<String> = run.frames.iter().map(|frame| frame.image_hash.clone()).collect();
-        let name = &run.scene.name;
-        ensure!(
-            *self.frames.get_or_insert_with(|| frames.clone()) == frames,
-            "SAME_IMAGE: two runs on {name} differ"
-        );
-        Ok(())
-    }
 }
 
 impl Amount {

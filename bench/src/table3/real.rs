@@ -6,7 +6,7 @@ use std::os::unix::net::UnixDatagram;
 use std::thread;
 use std::time::Instant;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use dsm_core::id::NodeId;
 use dsm_sim::balance::{Config, Costs, Gather};
 use dsm_sim::fault::{Fault, Faults};
@@ -24,6 +24,7 @@ use super::tiles::{Measured, Slower};
 use super::{Amount, DEPTH, THREADS};
 use crate::experiment::Effort;
 use crate::findings::Aim;
+use crate::images::Images;
 use crate::machine::cores;
 use crate::spread::Spread;
 use crate::table::{Cell, Table};
@@ -60,13 +61,12 @@ const NODES: [u16; 4] = [1, 2, 3, 4];
 /// Runs the cluster, in turns of all numbers of nodes.
 pub(super) fn runs(session: &Session, amount: Amount, effort: Effort) -> Result<Vec<Real>> {
     let mut all: Vec<Vec<RunReport>> = NODES.map(|_| Vec::new()).into();
-    let mut first: Option<Vec<String>> = None;
+    let mut images = Images::default();
     for round in 0..amount.reps {
         effort.say(&format!("real runs, round {}", round + 1));
         for (nodes, runs) in NODES.into_iter().zip(&mut all) {
             let report = run::run(&options(session, nodes, amount.size), |_| Ok(()))?;
-            let images: Vec<String> = report.frames.iter().map(|frame| frame.image_hash.clone()).collect();
-            ensure!(*first.get_or_insert_with(|| images.clone()) == images, "SAME_IMAGE over nodes");
+            images.expect_same(&report)?;
             runs.push(report);
         }
     }
