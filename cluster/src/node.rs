@@ -73,7 +73,6 @@ struct Process {
     mailboxes: Vec<OwnedFd>,
     letters: Option<OwnedFd>,
     placement: Stripes,
-    baseline_resident_bytes: u64,
 }
 
 /// The threads of a running process.
@@ -92,7 +91,6 @@ struct Crew {
 impl Process {
     /// Learns who it is and fills its home pages.
     fn set_up(link: &Arc<Link>) -> Result<Self> {
-        let baseline_resident_bytes = resident_bytes("VmRSS:")?;
         let Some(packet) = link.receive()? else { bail!("the supervisor ended before saying anything") };
         let Order::SetUp(set_up) = Order::from_packet(&packet.bytes)? else {
             bail!("the first order is no plan")
@@ -115,7 +113,6 @@ impl Process {
             mailboxes,
             letters,
             placement,
-            baseline_resident_bytes,
         };
         process.fill_home().context("cannot read the scene image")?;
         link.send(&News::Ready.to_packet()?)?;
@@ -327,7 +324,7 @@ impl Process {
             slots_withheld: choice.map_or(0, |choice| choice.slots_withheld),
             held_bytes_max: self.held_bytes_max(slots),
             peak_resident_bytes: resident_bytes("VmHWM:")?,
-            baseline_resident_bytes: self.baseline_resident_bytes,
+            program_bytes: resident_bytes("RssFile:")?,
             backend: choice.map(|choice| choice.used.to_string()).unwrap_or_default(),
             backends_declined: choice
                 .map_or(Vec::new(), |choice| choice.declined.iter().map(ToString::to_string).collect()),

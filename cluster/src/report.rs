@@ -140,8 +140,9 @@ pub struct ProcessReport {
     pub held_bytes_max: u64,
     /// Most memory that was ever resident, measured by the system (`VmHWM`).
     pub peak_resident_bytes: u64,
-    /// The same before it knew of any scene: program, libraries, stacks.
-    pub baseline_resident_bytes: u64,
+    /// Of these, what is mapped from files (`RssFile`): the program and its libraries, which all processes share. A
+    /// node maps no file of the scene.
+    pub program_bytes: u64,
     /// The backend in use: `uffd`, `segv`, `soft` or `replicated`; empty for a store.
     pub backend: String,
     /// Backends that the system refused, and why.
@@ -232,15 +233,15 @@ pub struct Totals {
     pub received_bytes: u64,
     /// Pages that had to leave.
     pub evictions: u64,
-    /// Most memory resident beyond what was planned to be held, over all processes.
+    /// Most memory resident beyond what was planned to be held and the program, over all processes.
     pub overhead_bytes_max: u64,
 }
 
 impl ProcessReport {
-    /// Memory resident beyond home pages, slots and tables: program, stacks, buffers.
+    /// Memory resident beyond home pages, slots, tables and the program: stacks, buffers, the allocator's own.
     #[must_use]
     pub const fn overhead_bytes(&self) -> u64 {
-        self.peak_resident_bytes.saturating_sub(self.held_bytes_max)
+        self.peak_resident_bytes.saturating_sub(self.held_bytes_max).saturating_sub(self.program_bytes)
     }
 }
 
@@ -498,7 +499,8 @@ mod tests {
         let node = ProcessReport {
             fetched_pages: 3,
             held_bytes_max: 10,
-            peak_resident_bytes: 12,
+            peak_resident_bytes: 17,
+            program_bytes: 5,
             ..ProcessReport::default()
         };
         let totals = Totals::of(&[frame.clone(), frame], &[node.clone(), node]);
