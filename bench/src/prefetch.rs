@@ -8,7 +8,7 @@ use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use memsavvy::report::{ProcessReport, RunReport};
 use memsavvy::run::{self, Options, Prefetch, Source};
 use memsavvy::session::{Path as Moments, Way};
@@ -80,7 +80,6 @@ fn prepare(folder: &Path, effort: Effort) -> Result<(PathBuf, &'static str)> {
 }
 
 fn measure(image: &Path, name: &str, effort: Effort) -> Result<Findings> {
-    // One node alone draws the same tiles in every run: what it counts then is the same each time.
     let (nodes, frames, size) = effort.pick((2, 24, 512), (1, 6, 128));
     let title = format!(
         "{name}: {size}x{size}, {frames} frames of two degrees, {nodes} nodes of one thread with slots for 16 % of the image, a store, pages of 4 KB"
@@ -114,11 +113,6 @@ fn measure(image: &Path, name: &str, effort: Effort) -> Result<Findings> {
             points: (0..).map(f64::from).zip(runs.iter().map(|ran| ran.misses() / none.misses())).collect(),
         });
         aims.extend(runs[1..].iter().flat_map(|ran| ran.aims(camera, none)));
-        if effort.is_quick() {
-            let tiles = runs.iter().find(|ran| ran.ahead == Prefetch::Tiles).context("tiles are tried")?;
-            let pays = tiles.misses() < none.misses() && tiles.megabytes() <= BYTES_MAX * none.megabytes();
-            ensure!(pays || way != Way::Orbit, "prefetch does not pay on an orbit");
-        }
     }
     table.note("misses: loads of all nodes that met an absent page; the first frame, which finds the caches empty, is among the others");
     table.note("asked, used, wasted: pages asked for ahead; those that are neither used nor wasted are still there, in doubt");
