@@ -91,6 +91,7 @@ impl Balance {
             me: set_up.node,
             nodes: set_up.nodes,
             threads: set_up.threads,
+            threads_per_core: set_up.threads_per_core,
             tiles,
             balancer,
             resend_us: RESEND_US,
@@ -188,9 +189,23 @@ impl Balance {
                 return Ok(Some(task));
             }
             while !state.is_over && !state.worker.has_queued() {
-                state = self.news.wait(state).unwrap_or_else(PoisonError::into_inner);
+                state = self.wait(state)?;
             }
         }
+    }
+
+    /// Waits for news, or for the moment at which the worker wants to hear that time has passed.
+    fn wait<'a>(&'a self, mut state: MutexGuard<'a, State>) -> Result<MutexGuard<'a, State>> {
+        let Some(deadline_us) = deadline_us(&mut state) else {
+            return Ok(self.news.wait(state).unwrap_or_else(PoisonError::into_inner));
+        };
+        let left = Duration::from_micros(deadline_us.saturating_sub(now().as_micros()));
+        let (mut state, waited) = self.news.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner);
+        if waited.timed_out() {
+            state.worker.handle_timeout(now().as_micros());
+            self.send(&mut state)?;
+        }
+        Ok(state)
     }
 
     /// A thread has drawn its tile, and used these pages. Tells whether anybody still wants it.
@@ -222,7 +237,7 @@ impl Balance {
 
     /// Waits for a letter, or for the moment at which something is to be said again.
     fn read_letters(&self, letters: &Link) -> Result<()> {
-        let deadline_us = self.deadline_us();
+        let deadline_us = deadline_us(&mut self.lock());
         let wait_ms =
             deadline_us.map_or(LOOK_MS, |at| (at.saturating_sub(now().as_micros()) / 1000 + 1).min(LOOK_MS));
         let has_letter = !wait_for_any(&[letters.as_fd()], u32::try_from(wait_ms)?)?.is_empty();
@@ -295,15 +310,6 @@ impl Balance {
         letter
     }
 
-    fn deadline_us(&self) -> Option<u64> {
-        let mut buffer = [0; MESSAGE_BYTES_MAX];
-        match self.lock().worker.poll(now().as_micros(), &mut buffer) {
-            Output::Idle(deadline) => deadline,
-            // Nothing is due: all was sent when it became so.
-            Output::Transmit { .. } | Output::Deliver { .. } => None,
-        }
-    }
-
     fn tell(&self, state: &State) {
         if state.worker.has_queued() {
             self.news.notify_all();
@@ -312,6 +318,16 @@ impl Balance {
 
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// When the worker wants to hear that time has passed.
+fn deadline_us(state: &mut State) -> Option<u64> {
+    let mut buffer = [0; MESSAGE_BYTES_MAX];
+    match state.worker.poll(now().as_micros(), &mut buffer) {
+        Output::Idle(deadline) => deadline,
+        // Nothing is due: all was sent when it became so.
+        Output::Transmit { .. } | Output::Deliver { .. } => None,
     }
 }
 

@@ -61,6 +61,8 @@ pub(crate) struct SetUp {
     pub(crate) budget_bytes: u64,
     pub(crate) slots: u32,
     pub(crate) threads: u16,
+    /// Render threads, of all nodes, for each core.
+    pub(crate) threads_per_core: u16,
     /// Each render thread keeps to a core of its own.
     pub(crate) binds_to_cores: bool,
     pub(crate) backend: String,

@@ -310,6 +310,7 @@ impl Run {
             budget_bytes,
             slots,
             threads: self.threads,
+            threads_per_core: self.threads_per_core(),
             binds_to_cores: self.binds_to_cores(options),
             backend: options.backend.map_or("auto", BackendKind::name).to_owned(),
             policy: options.policy.name().to_owned(),
@@ -342,8 +343,12 @@ impl Run {
 
     /// Whether every render thread can have a core, and shall.
     fn binds_to_cores(&self, options: &Options) -> bool {
-        let painters = u32::from(self.plan.nodes) * u32::from(self.threads);
-        options.bind_to.map_or(painters <= u32::from(cores()), |bind_to| bind_to == BindTo::Core)
+        options.bind_to.map_or(self.threads_per_core() <= 1, |bind_to| bind_to == BindTo::Core)
+    }
+
+    /// Render threads that have to share a core: 1 when each can have its own.
+    fn threads_per_core(&self) -> u16 {
+        self.plan.nodes.saturating_mul(self.threads).div_ceil(cores())
     }
 
     /// How long a thread looks for an answer before it sleeps: not at all where threads share cores.
@@ -399,6 +404,7 @@ impl Dealt {
             epoch: EPOCH.0,
             nodes: run.plan.nodes,
             threads: run.threads,
+            threads_per_core: run.threads_per_core(),
             tiles: Tiles::of(options.size.width, options.size.height),
             balancer: options.balance,
             resend_us: RESEND_US,

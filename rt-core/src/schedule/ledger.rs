@@ -23,6 +23,8 @@ pub struct LedgerConfig {
     pub nodes: u16,
     /// Render threads of each.
     pub threads: u16,
+    /// Render threads, of whatever node, that share a core; 1 where each has its own.
+    pub threads_per_core: u16,
     /// The picture.
     pub tiles: Tiles,
     /// How tiles are dealt.
@@ -373,16 +375,19 @@ impl<'s> Ledger<'s> {
 
     /// Who has the tile at a place of the order when a frame begins.
     fn holder_at_start(&self, place: usize) -> u16 {
-        let LedgerConfig { balancer, nodes, tiles, .. } = self.config;
+        let LedgerConfig { balancer, nodes, tiles, threads_per_core, .. } = self.config;
         let tile = self.order[place];
         let drawn_by = self.tiles[tile as usize].drawn_by;
         let is_known = drawn_by != NOBODY;
+        // Where threads share cores, what a node took from another was taken by chance: kept, such tiles would add up until
+        // every node needs the pages of the whole picture.
+        let is_kept = is_known && (balancer == Balancer::Steal || threads_per_core <= 1);
         let fixed = || Static::new(tiles, nodes.into()).node_of(TileId(tile));
         // Equal pieces of the curve, each a compact part of the picture.
         let piece = || place * usize::from(nodes) / self.order.len().max(1);
         match balancer {
             Balancer::Demand { .. } => NOBODY,
-            Balancer::Steal | Balancer::StealNear if is_known => drawn_by,
+            Balancer::Steal | Balancer::StealNear if is_kept => drawn_by,
             Balancer::StealNear => u16::try_from(piece()).unwrap_or(NOBODY),
             Balancer::Static | Balancer::Steal => u16::try_from(fixed()).unwrap_or(NOBODY),
         }

@@ -115,8 +115,17 @@ fn balance() -> Option<()> {
     let tiles = Tiles::of(4 * TILE_SIZE, 4 * TILE_SIZE);
     let (balancer, resend_us, seed) = (Balancer::StealNear, 1000, 1);
     let (mut dealt, mut order, mut nodes) = ([DealtTile::EMPTY; TILES], [0; TILES], [DealtNode::EMPTY; 2]);
-    let config =
-        LedgerConfig { epoch: 1, nodes: 2, threads: 1, tiles, balancer, resend_us, confirms: false, seed };
+    let config = LedgerConfig {
+        epoch: 1,
+        nodes: 2,
+        threads: 1,
+        threads_per_core: 1,
+        tiles,
+        balancer,
+        resend_us,
+        confirms: false,
+        seed,
+    };
     let storage = LedgerStorage { tiles: &mut dealt, order: &mut order, nodes: &mut nodes };
     let mut ledger = Ledger::new(config, storage);
     let mut entries = [[TileEntry::EMPTY; TILES]; 2];
@@ -129,6 +138,7 @@ fn balance() -> Option<()> {
             me,
             nodes: 2,
             threads: 1,
+            threads_per_core: 1,
             tiles,
             balancer,
             resend_us,

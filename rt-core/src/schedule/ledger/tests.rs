@@ -7,6 +7,11 @@ const TILES: u32 = 16;
 
 /// Three nodes of one thread, 4 x 4 tiles.
 fn with_ledger(balancer: Balancer, test: impl FnOnce(&mut Ledger<'_>)) {
+    with_ledger_on(1, balancer, test);
+}
+
+/// The same, with so many render threads on a core.
+fn with_ledger_on(threads_per_core: u16, balancer: Balancer, test: impl FnOnce(&mut Ledger<'_>)) {
     let mut tiles = [DealtTile::EMPTY; TILES as usize];
     let mut order = [0; TILES as usize];
     let mut nodes = [DealtNode::EMPTY; 3];
@@ -14,6 +19,7 @@ fn with_ledger(balancer: Balancer, test: impl FnOnce(&mut Ledger<'_>)) {
         epoch: 1,
         nodes: 3,
         threads: 1,
+        threads_per_core,
         tiles: Tiles::of(4 * TILE_SIZE, 4 * TILE_SIZE),
         balancer,
         resend_us: 1000,
@@ -58,6 +64,17 @@ fn a_frame_begins_with_the_tiles_that_each_node_drew_in_the_last() {
         ledger.begin(2);
         let second = dealt(ledger);
         assert_eq!((&second[0], second[1].len(), second[2].len()), (&first[0], 16 - first[0].len(), 0));
+    });
+}
+
+#[test]
+fn where_threads_share_cores_what_was_taken_goes_back_when_the_next_frame_begins() {
+    with_ledger_on(2, Balancer::StealNear, |ledger| {
+        ledger.begin(1);
+        let first = dealt(ledger);
+        draw(ledger, 1, 1, &first.concat());
+        ledger.begin(2);
+        assert_eq!(dealt(ledger), first);
     });
 }
 

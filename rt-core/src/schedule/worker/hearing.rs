@@ -57,7 +57,7 @@ impl Worker<'_> {
     ) -> Result<(), Refused> {
         let is_news = self.stamp.is_none_or(|mine| mine < stamp);
         if number == 0 && is_news {
-            self.open(stamp);
+            self.open(now_us, stamp);
         } else {
             self.in_view(stamp)?;
         }
@@ -91,11 +91,12 @@ impl Worker<'_> {
     }
 
     /// A view begins, and perhaps a frame.
-    fn open(&mut self, stamp: Stamp) {
+    fn open(&mut self, now_us: u64, stamp: Stamp) {
         let is_new_frame = self.stamp.is_none_or(|mine| mine.frame != stamp.frame);
         if is_new_frame {
             self.maps = [PageMap::EMPTY, self.maps[0]];
             self.busy_us = [0, self.busy_us[0]];
+            self.began_us = now_us;
             self.unconfirmed = 0;
         }
         self.stamp = Some(stamp);

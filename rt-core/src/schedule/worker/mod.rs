@@ -32,6 +32,8 @@ pub struct WorkerConfig {
     pub nodes: u16,
     /// Render threads of this node.
     pub threads: u16,
+    /// Render threads, of whatever node, that share a core; 1 where each has its own.
+    pub threads_per_core: u16,
     /// The picture.
     pub tiles: Tiles,
     /// Whom it asks and what it gives.
@@ -127,6 +129,8 @@ pub struct Worker<'s> {
     maps: [PageMap; 2],
     /// Time spent drawing in this frame and in the last one, over all threads.
     busy_us: [u64; 2],
+    /// When this node heard of the frame.
+    began_us: u64,
     /// Tiles that the display has not confirmed, and when the next of them are sent again.
     unconfirmed: u32,
     deliver_at_us: u64,
@@ -160,6 +164,7 @@ impl<'s> Worker<'s> {
             dice: Dice::new(seed),
             maps: [PageMap::EMPTY; 2],
             busy_us: [0; 2],
+            began_us: 0,
             unconfirmed: 0,
             deliver_at_us: 0,
             asks_from_frame: 0,
@@ -337,6 +342,7 @@ impl<'s> Worker<'s> {
         self.hand.tiles.hash(hasher);
         let left_us = |moment_us: u64| moment_us.saturating_sub(now_us);
         (self.unconfirmed > 0).then(|| left_us(self.deliver_at_us)).hash(hasher);
+        (self.config.threads_per_core > 1).then(|| now_us - self.began_us).hash(hasher);
         let resend_us = self.config.resend_us;
         for peer in self.peers.all.iter() {
             peer.fingerprint(hasher);
@@ -406,9 +412,27 @@ impl<'s> Worker<'s> {
         self.stamp.is_some_and(|stamp| stamp.frame >= self.asks_from_frame)
     }
 
+    /// When a node that has nothing asks: at once, where threads have cores of their own. Where they share them, those of the
+    /// others may only have had to wait for this one's, and catch up now; to take their tiles from them would bring nothing
+    /// and cost their pages. So it lets each of them have the core for as long as it had it itself, and for one turn more.
+    fn asks_at_us(&self) -> u64 {
+        let WorkerConfig { threads, threads_per_core, balancer, .. } = self.config;
+        if threads_per_core <= 1 || balancer != Balancer::StealNear {
+            return 0;
+        }
+        let others = u64::from(threads_per_core - 1);
+        let own_us = self.busy_us[0] / u64::from(threads.max(1));
+        self.began_us + own_us + others * (own_us + TURN_US)
+    }
+
     /// Asks somebody, if there is nothing queued.
     fn look_for_work(&mut self, now_us: u64) {
         if self.hand.queued > 0 || !self.asks_in_frame() {
+            return;
+        }
+        let asks_at_us = self.asks_at_us();
+        if now_us < asks_at_us {
+            self.asking.pause_until_us = Some(asks_at_us);
             return;
         }
         let map = self.map();
@@ -534,6 +558,9 @@ impl<'s> Worker<'s> {
 
 /// What is queued is shared when it takes longer than this part of what the node drew in the last frame.
 const MARGIN_PART: u64 = 8;
+
+/// How long a system leaves a core to one thread while others wait for it, about.
+const TURN_US: u64 = 3000;
 
 /// A tile that takes so many times what it is to take, and at least so many microseconds, was drawn by a slow node.
 const SLOW: u32 = 4;

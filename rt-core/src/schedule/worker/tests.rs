@@ -8,6 +8,11 @@ const DISPLAY: u16 = 3;
 
 /// Node 1 of 3, one thread, 4 x 4 tiles.
 fn with_worker(balancer: Balancer, test: impl FnOnce(&mut Worker<'_>)) {
+    with_worker_on(1, balancer, test);
+}
+
+/// The same, with so many render threads on a core.
+fn with_worker_on(threads_per_core: u16, balancer: Balancer, test: impl FnOnce(&mut Worker<'_>)) {
     let mut tiles = [TileEntry::EMPTY; TILES as usize];
     let mut order = [0; TILES as usize];
     let mut peers = [PeerEntry::EMPTY; 4];
@@ -16,6 +21,7 @@ fn with_worker(balancer: Balancer, test: impl FnOnce(&mut Worker<'_>)) {
         me: 1,
         nodes: 3,
         threads: 1,
+        threads_per_core,
         tiles: Tiles::of(4 * TILE_SIZE, 4 * TILE_SIZE),
         balancer,
         resend_us: 1000,
@@ -193,4 +199,27 @@ fn odd_frames_are_drawn_backwards_and_another_frame_voids_the_last() {
         forwards.reverse();
         assert_eq!(draw_all(worker, 3, |_| 1000), forwards);
     });
+}
+
+#[test]
+fn where_threads_share_a_core_an_idle_one_leaves_it_to_the_other_before_it_asks() {
+    let asks = |worker: &mut Worker<'_>| {
+        said(worker).iter().filter(|(_, body)| matches!(body, Body::Ask { .. })).count()
+    };
+    for (threads_per_core, waits_us) in [(1, 0), (2, 16_000 + 16_000 + TURN_US)] {
+        with_worker_on(threads_per_core, Balancer::StealNear, |worker| {
+            deal(worker, 1, 0..TILES);
+            draw_all(worker, 1, |_| 1000);
+            assert_eq!(asks(worker), usize::from(waits_us == 0));
+            if waits_us > 0 {
+                // Time stands still here: the 16 ms of its tiles have yet to pass, too.
+                let mut buffer = [0; crate::schedule::message::MESSAGE_BYTES_MAX];
+                assert_eq!(worker.poll(0, &mut buffer), Output::Idle(Some(waits_us)));
+                worker.handle_timeout(waits_us - 1);
+                assert_eq!(asks(worker), 0);
+                worker.handle_timeout(waits_us);
+                assert_eq!(asks(worker), 1);
+            }
+        });
+    }
 }
