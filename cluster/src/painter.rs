@@ -142,7 +142,7 @@ impl Canvas<'_> {
         self.tell(facts)?;
         if is_wanted? {
             let when = (frame.number, task.is_calm);
-            sender.push(when, tiles.columns(), (id, tile), (pixels, &counts), || self.check())?;
+            sender.push(when, tiles, (id, tile), (pixels, &counts), || self.check())?;
         }
         Ok(())
     }

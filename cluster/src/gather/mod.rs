@@ -2,6 +2,7 @@
 //!
 //! | module | what it holds |
 //! |---|---|
+//! | `bands` | which display puts which part of the picture together |
 //! | [`codec`] | the pixels of a tile, made small without loss |
 //! | `parcel` | tiles in a packet |
 //! | `credit` | how much a node may have under way |
@@ -9,11 +10,12 @@
 //! | `display` | a display: takes parcels and puts tiles in place |
 //! | `part` | the part of the picture that one display puts together |
 //!
-//! Rows of tiles go to the displays in turn, so each has its share of what is costly. A tile that is as it was in the last
+//! A tile that is as it was in the last
 //! frame travels without pixels: the node that drew it then knows, and the displays have it, since no frame begins
 //! before the one before it is whole. A tile that has changed hands travels whole, and so does every tile while a death
 //! may have had some drawn twice. What the displays put in place they note for the supervisor, who counts.
 
+mod bands;
 pub mod codec;
 mod credit;
 mod display;
@@ -25,12 +27,5 @@ pub(crate) use display::{Arrived, Displays, Gathered};
 pub(crate) use outlet::{Outlets, Sender};
 pub use part::place;
 
-use rt_core::TileId;
-
 /// Displays of a run at most.
 pub const DISPLAYS_MAX: u16 = 16;
-
-/// The display that a tile goes to, in a picture of so many columns of tiles.
-fn display_of(TileId(id): TileId, columns: u32, displays: usize) -> usize {
-    (id / columns.max(1)) as usize % displays.max(1)
-}

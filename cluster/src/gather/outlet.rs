@@ -3,11 +3,11 @@
 use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail};
-use rt_core::{Tile, TileCounts, TileId};
+use rt_core::{Tile, TileCounts, TileId, Tiles};
 
+use super::bands::Bands;
 use super::codec::Encoder;
 use super::credit::Window;
-use super::display_of;
 use super::parcel::{Packed, Parcel};
 use crate::link::Link;
 
@@ -128,12 +128,12 @@ impl<'a> Sender<'a> {
         Self { outlets, encoder: Encoder::default(), scratch: Vec::new(), parcels, tiles_max }
     }
 
-    /// Adds a tile of a frame that is `columns` tiles wide, and what was counted for it. It builds on the last frame only if
+    /// Adds a tile of a frame that is cut into `tiles`, and what was counted for it. It builds on the last frame only if
     /// that `is_sure`, and this node drew it then. `check` says before anything leaves whether it may.
     pub(crate) fn push(
         &mut self,
         (frame, is_sure): (u32, bool),
-        columns: u32,
+        tiles: Tiles,
         (id, tile): (TileId, Tile),
         (pixels, counts): (&[u8], &TileCounts),
         check: impl Fn() -> Result<()>,
@@ -149,7 +149,7 @@ impl<'a> Sender<'a> {
             None => pixels.into(),
         };
         self.outlets.kept().put(id, frame, kept);
-        let display = display_of(id, columns, self.parcels.len());
+        let display = Bands::of(tiles, self.parcels.len()).display_of(id);
         let packed = Packed { id, counts: *counts, coding, bytes: &self.scratch };
         let parcel = &mut self.parcels[display];
         if parcel.tiles() == 0 {

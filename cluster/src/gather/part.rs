@@ -3,13 +3,13 @@
 use anyhow::{Context, Result, bail};
 use rt_core::{Frame, TILE_SIZE, TileId, Tiles};
 
+use super::bands::Bands;
 use super::codec::{Coding, decode};
-use super::display_of;
 use super::parcel::{Packed, open};
 use crate::control::Drawn;
 use crate::picture::Picture;
 
-/// The rows of tiles that go to one of some displays, the ones below the others.
+/// The band of the picture that one of some displays puts together.
 #[derive(Debug)]
 pub(super) struct Part {
     display: usize,
@@ -66,14 +66,17 @@ impl Part {
         self.has_before =
             self.missing == 0 && self.tiles == tiles && frame.number.checked_sub(1) == Some(self.frame);
         (self.frame, self.tiles, self.width) = (frame.number, tiles, frame.width as usize);
-        let is_mine = |id: &TileId| display_of(*id, tiles.columns(), self.displays) == self.display;
-        self.missing = tiles.ids().filter(is_mine).count();
-        let rows = (tiles.rows() as usize).saturating_sub(self.display).div_ceil(self.displays);
+        let rows = self.bands().rows_of(self.display).len();
+        self.missing = rows * tiles.columns() as usize;
         self.pixels.resize(rows * TILE_SIZE as usize * self.width, 0);
         self.is_there.clear();
         self.is_there.resize(tiles.count() as usize, false);
         self.counts = Drawn { frame: frame.number, ..Drawn::default() };
         self.traffic = Traffic::default();
+    }
+
+    fn bands(&self) -> Bands {
+        Bands::of(self.tiles, self.displays)
     }
 
     pub(super) const fn is_whole(&self) -> bool {
@@ -118,7 +121,7 @@ impl Part {
     /// Puts a tile in place, if it is not there yet.
     fn put(&mut self, Packed { id, counts, coding, bytes }: Packed<'_>) -> Result<bool> {
         let tile = self.tiles.get(id).with_context(|| format!("the picture has {}", self.tiles.count()))?;
-        if display_of(id, self.tiles.columns(), self.displays) != self.display {
+        if self.bands().display_of(id) != self.display {
             bail!("it goes to another display than {}", self.display);
         }
         if self.is_there[id.0 as usize] {
@@ -127,8 +130,8 @@ impl Part {
         if matches!(coding, Coding::Same | Coding::Temporal) && !self.has_before {
             bail!("it builds on a frame before, and there is none");
         }
-        let y = tile.y as usize / TILE_SIZE as usize / self.displays * TILE_SIZE as usize;
-        let at = [tile.x as usize, y];
+        let above = self.bands().rows_of(self.display).start * TILE_SIZE as usize;
+        let at = [tile.x as usize, tile.y as usize - above];
         let size = [tile.width as usize, tile.height as usize];
         place((coding, bytes), (&mut self.pixels, self.width), at, size, &mut self.tile)?;
         self.is_there[id.0 as usize] = true;
@@ -141,7 +144,8 @@ impl Part {
     /// Copies the part to where it belongs in the picture.
     pub(super) fn copy_to(&self, picture: &mut Picture) {
         let strip = TILE_SIZE as usize * self.width;
-        let rows = picture.pixels_mut().chunks_mut(strip.max(1)).skip(self.display).step_by(self.displays);
+        let rows =
+            picture.pixels_mut().chunks_mut(strip.max(1)).skip(self.bands().rows_of(self.display).start);
         for (to, from) in rows.zip(self.pixels.chunks(strip.max(1))) {
             to.copy_from_slice(&from[..to.len()]);
         }
@@ -225,7 +229,7 @@ mod tests {
                     let coding =
                         Encoder::default().encode(tile.width as usize, &pixels, last.as_deref(), &mut bytes);
                     assert_eq!(coding == Coding::Same, id.0 == 4 && frame_number > 0);
-                    let display = display_of(id, tiles.columns(), displays);
+                    let display = Bands::of(tiles, displays).display_of(id);
                     assert!(!parts[display].is_there(id));
                     parts[display].take(&parcel(frame_number, id.0, coding, &bytes)).unwrap();
                     assert!(parts[display].is_there(id));
@@ -250,7 +254,7 @@ mod tests {
             (vec![1, 2, 3], "half a parcel"),
             (parcel(1, 0, Coding::Raw, &whole), "frame 1 for frame 0"),
             (parcel(0, 12, Coding::Raw, &whole), "tile 12: the picture has 12"),
-            (parcel(0, 3, Coding::Raw, &whole), "tile 3: it goes to another display"),
+            (parcel(0, 11, Coding::Raw, &whole), "tile 11: it goes to another display"),
             (parcel(0, 0, Coding::Raw, &whole[1..]), "tile 0: its pixels are cut off"),
             (parcel(0, 2, Coding::Raw, &whole), "tile 2: it has more pixels"),
             (parcel(0, 0, Coding::Spatial, &[0x11]), "tile 0: its pixels are cut off"),

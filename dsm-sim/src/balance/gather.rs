@@ -2,12 +2,14 @@
 
 use std::collections::VecDeque;
 
+use rt_core::Tiles;
+
 use super::letters::{Letters, Parcel};
 
 /// How tiles come to the displays, over links that lose nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gather {
-    /// Threads that put the picture together, each with rows of tiles in turn.
+    /// Threads that put the picture together, each a band of rows of tiles.
     pub displays: u16,
     /// Bytes of a parcel at most.
     pub parcel_bytes: u32,
@@ -53,7 +55,7 @@ pub struct Talk {
 #[derive(Debug)]
 pub(super) struct Outlet {
     gather: Gather,
-    columns: u32,
+    tiles: Tiles,
     me: u16,
     /// What each thread has for each display.
     parcels: Vec<Vec<Parcel>>,
@@ -99,11 +101,11 @@ impl Talk {
 }
 
 impl Outlet {
-    pub(super) fn new(gather: Gather, columns: u32, me: u16, threads: u16) -> Self {
+    pub(super) fn new(gather: Gather, tiles: Tiles, me: u16, threads: u16) -> Self {
         let displays = usize::from(gather.displays);
         Self {
             gather,
-            columns,
+            tiles,
             me,
             parcels: vec![vec![Parcel::default(); displays]; threads.into()],
             waiting: vec![VecDeque::new(); displays],
@@ -114,7 +116,8 @@ impl Outlet {
 
     /// Adds a tile whose pixels take so many bytes, and puts aside what is full.
     pub(super) fn push(&mut self, letters: &Letters, thread: u16, frame: u32, tile: u32, bytes: u32) {
-        let display = tile / self.columns % u32::from(self.gather.displays);
+        let row = tile / self.tiles.columns().max(1);
+        let display = row * u32::from(self.gather.displays) / self.tiles.rows().max(1);
         let display = u16::try_from(display).unwrap_or(0);
         let bytes = HEAD_BYTES + bytes;
         let me = self.me;

@@ -47,8 +47,7 @@ impl<'m, W: Workload> Node<'m, W> {
         pixels_bytes: u32,
         gather: Option<Gather>,
     ) -> Self {
-        let outlet =
-            gather.map(|gather| Outlet::new(gather, config.tiles.columns(), config.me, config.threads));
+        let outlet = gather.map(|gather| Outlet::new(gather, config.tiles, config.me, config.threads));
         Self {
             config,
             worker: None,
