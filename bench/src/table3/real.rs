@@ -56,27 +56,35 @@ pub(super) struct Calibrated {
 /// Frames in which caches are cold and the balance learns.
 pub(super) const COLD: usize = 4;
 
-const NODES: [u16; 4] = [1, 2, 3, 4];
+/// One node that sends each tile in a parcel of its own, then the balance by default.
+const SETUPS: [(u16, Balancer); 5] = [
+    (1, Balancer::Demand { window: 1 }),
+    (1, Balancer::StealNear),
+    (2, Balancer::StealNear),
+    (3, Balancer::StealNear),
+    (4, Balancer::StealNear),
+];
 
-/// Runs the cluster, in turns of all numbers of nodes.
+/// Runs the cluster, in turns of all set-ups.
 pub(super) fn runs(session: &Session, amount: Amount, effort: Effort) -> Result<Vec<Real>> {
-    let mut all: Vec<Vec<RunReport>> = NODES.map(|_| Vec::new()).into();
+    let mut all: Vec<Vec<RunReport>> = SETUPS.map(|_| Vec::new()).into();
     let mut images = Images::default();
     for round in 0..amount.reps {
         effort.say(&format!("real runs, round {}", round + 1));
-        for (nodes, runs) in NODES.into_iter().zip(&mut all) {
-            let report = run::run(&options(session, nodes, amount.size), |_| Ok(()))?;
+        for (setup, runs) in SETUPS.into_iter().zip(&mut all) {
+            let report = run::run(&options(session, setup, amount.size), |_| Ok(()))?;
             images.expect_same(&report)?;
             runs.push(report);
         }
     }
-    Ok(NODES.into_iter().zip(&all).map(|(nodes, runs)| Real::of(nodes, runs)).collect())
+    Ok(SETUPS.into_iter().zip(&all).map(|(setup, runs)| Real::of(setup, runs)).collect())
 }
 
-fn options(session: &Session, nodes: u16, size: u32) -> Options {
+fn options(session: &Session, (nodes, balance): (u16, Balancer), size: u32) -> Options {
     Options {
         source: Source::BuiltIn(BuiltIn::Sphereflake { depth: DEPTH }),
         nodes,
+        balance,
         threads: NonZeroU16::new(THREADS),
         memory: Some(Memory::Share(1.0)),
         size: PictureSize { width: size, height: size },
@@ -88,7 +96,7 @@ fn options(session: &Session, nodes: u16, size: u32) -> Options {
 }
 
 impl Real {
-    fn of(nodes: u16, runs: &[RunReport]) -> Self {
+    fn of((nodes, _): (u16, Balancer), runs: &[RunReport]) -> Self {
         let warm = || runs.iter().flat_map(|run| run.frames.iter().skip(COLD));
         let low = |values: Vec<f64>| Spread::of(&values).low;
         Self {
@@ -136,12 +144,14 @@ pub(super) fn wire(rounds: u32) -> Result<Wire> {
     Ok(Wire { out, in_, under_way: (trip / 2.0 - in_).max(0.0) })
 }
 
-/// Finds what a parcel takes a display and what a tile takes a node beside drawing, so that the simulator does what the
-/// runs of one node did; then foretells those of more.
+/// Finds what a parcel takes a display, by what one node takes it that sends hundreds and one that sends a few; and what a
+/// tile takes a node beside drawing, so that the simulator does what the runs of one node did. Then foretells those of more.
 pub(super) fn calibrate(tiles: &Measured, real: &[Real], wire: Wire, effort: Effort) -> Result<Calibrated> {
     let count = f64::from(tiles.columns * tiles.columns);
-    let in_ns = |run: &Real| (run.talk_ms * 1e6 - count * tiles.place_ns) / run.parcels.max(1.0);
-    let parcel_in = real.first().map(in_ns).unwrap_or_default().max(wire.in_);
+    let (tile_by_tile, real) = real.split_first().context("runs of one node")?;
+    let one = real.first().context("a run of one node")?;
+    let more_ns = (tile_by_tile.talk_ms - one.talk_ms) * 1e6;
+    let parcel_in = (more_ns / (tile_by_tile.parcels - one.parcels).max(1.0)).max(wire.in_);
     let mut costs = Costs {
         tile_out: 0,
         parcel_out: ns(wire.out),
@@ -150,7 +160,7 @@ pub(super) fn calibrate(tiles: &Measured, real: &[Real], wire: Wire, effort: Eff
         message_out: ns(wire.out),
         message_in: ns(wire.in_),
     };
-    let wanted_ms = real.first().map_or(0.0, |run| run.frame_ms);
+    let wanted_ms = one.frame_ms;
     let (mut low, mut high) = (0, ns(wanted_ms * 1e6 * f64::from(THREADS) / count));
     while low + 50 < high {
         costs.tile_out = u64::midpoint(low, high);
@@ -204,7 +214,7 @@ fn table(tiles: &Measured, costs: Costs, Wire { under_way, .. }: Wire) -> Table 
     let mut table = Table::new("calibration", title, &heads);
     let Costs { tile_out, parcel_out, parcel_in, tile_in, message_out, message_in } = costs;
     table.note(format!("drawing: {:.2} ms a frame of one thread, each tile by itself, the fastest of some rounds; threads that share a core take so many times longer", tiles.frame_ms()));
-    table.note(format!("fitted to the runs of one node: {tile_out} ns a tile of a node beside drawing, {parcel_in} ns a parcel of a display"));
+    table.note(format!("fitted to the runs of one node: {tile_out} ns a tile of a node beside drawing; {parcel_in} ns a parcel of a display, more of which come with demand:1"));
     table.note(format!("measured: {tile_in} ns to put a tile in place, {message_out} ns to send and {message_in} ns to read a message, {under_way:.0} ns under way; {parcel_out} ns for a parcel to leave"));
     table.note(
         "real: the lower quarter of the frames after the first four, for what else runs here only adds",
