@@ -309,7 +309,7 @@ impl Display for RunReport {
         self.write_balance(f)?;
         write!(
             f,
-            "{:.1} frames/s, {:.2} Mrays/s; fetched {} pages ({}), evicted {}; at most {} resident beyond what is held",
+            "{:.1} frames/s, {:.2} Mrays/s; fetched {} pages ({}), evicted {}; at most {} resident beyond what is held and the program",
             totals.frames_per_second,
             totals.mrays_per_second,
             thousands(totals.fetched_pages),
