@@ -19,6 +19,7 @@ fn a_hundred_seeds_of_a_lossy_cluster_with_deaths_display_each_tile_once() {
         let balancer = Balancer::ALL[usize::try_from(seed).unwrap() % 4];
         let mut config = Config::new(12, balancer);
         (config.tiles, config.frames, config.checks) = ([8, 8], 6, Checks::EveryStep);
+        config.threads_per_core = 1 + u16::try_from(seed / 4 % 2).unwrap();
         config.network = config.network.with_links(|link| {
             (link.loss_ppm, link.duplicate_ppm, link.reorder_ppm) = (100_000, 50_000, 50_000);
             link.reorder_ns = ms(3);

@@ -39,6 +39,8 @@ pub struct Config {
     pub nodes: u16,
     /// Render threads of each.
     pub threads: u16,
+    /// How many of them share a core, as far as nodes are told: in virtual time each has its own.
+    pub threads_per_core: u16,
     /// Columns and rows of tiles.
     pub tiles: [u32; 2],
     /// How tiles come to nodes.
@@ -118,6 +120,7 @@ impl Config {
         Self {
             nodes,
             threads: 1,
+            threads_per_core: 1,
             tiles: [16, 16],
             balancer,
             frames: 10,
@@ -211,7 +214,7 @@ fn worker_config(config: &Config, me: u16, seed: u64) -> WorkerConfig {
         me,
         nodes: config.nodes,
         threads: config.threads,
-        threads_per_core: 1,
+        threads_per_core: config.threads_per_core,
         tiles: config.picture(),
         balancer: config.balancer,
         resend_us: config.resend_us,
@@ -225,7 +228,7 @@ fn ledger_config(config: &Config, seed: u64) -> LedgerConfig {
         epoch: EPOCH,
         nodes: config.nodes,
         threads: config.threads,
-        threads_per_core: 1,
+        threads_per_core: config.threads_per_core,
         tiles: config.picture(),
         balancer: config.balancer,
         resend_us: config.resend_us,

@@ -16,6 +16,8 @@ pub struct Setup {
     pub rows: u8,
     /// Render threads of each node, `1..=3`.
     pub threads: u8,
+    /// Two render threads share a core, as far as nodes are told.
+    pub shares_cores: bool,
     /// How tiles come to nodes.
     pub balancer: Balancer,
     /// Tiles that were sent to the display may be lost, and it confirms those that come.
@@ -48,6 +50,7 @@ impl Setup {
             columns: 1 + shape % 6,
             rows: 1 + shape / 16 % 6,
             threads: 1 + rest % 3,
+            shares_cores: rest & 16 != 0,
             balancer,
             confirms: rest & 8 == 0,
             is_pageless: false,
@@ -64,13 +67,17 @@ impl Setup {
         self.nodes.into()
     }
 
+    fn threads_per_core(&self) -> u16 {
+        1 + u16::from(self.shares_cores)
+    }
+
     pub(crate) fn worker(&self, me: u16, life: u64) -> WorkerConfig {
         WorkerConfig {
             epoch: EPOCH,
             me,
             nodes: self.nodes.into(),
             threads: self.threads.into(),
-            threads_per_core: 1,
+            threads_per_core: self.threads_per_core(),
             tiles: self.tiles(),
             balancer: self.balancer,
             resend_us: RESEND_US,
@@ -84,7 +91,7 @@ impl Setup {
             epoch: EPOCH,
             nodes: self.nodes.into(),
             threads: self.threads.into(),
-            threads_per_core: 1,
+            threads_per_core: self.threads_per_core(),
             tiles: self.tiles(),
             balancer: self.balancer,
             resend_us: RESEND_US,

@@ -111,6 +111,7 @@ impl Cluster {
             columns: self.tiles,
             rows: 1,
             threads: 1,
+            shares_cores: false,
             balancer: self.balancer,
             confirms: self.confirms,
             is_pageless: true,

@@ -252,7 +252,8 @@ impl<'s> Worker<'s> {
             self.asking.pending = None;
             self.look_for_work(now_us);
         }
-        if self.asking.pause_until_us.is_some_and(|until| until <= now_us) {
+        // Over whether anybody is asked then or not, or it would be due for ever.
+        if self.asking.pause_until_us.take_if(|until| *until <= now_us).is_some() {
             self.look_for_work(now_us);
         }
     }
@@ -342,7 +343,7 @@ impl<'s> Worker<'s> {
         self.hand.tiles.hash(hasher);
         let left_us = |moment_us: u64| moment_us.saturating_sub(now_us);
         (self.unconfirmed > 0).then(|| left_us(self.deliver_at_us)).hash(hasher);
-        (self.config.threads_per_core > 1).then(|| now_us - self.began_us).hash(hasher);
+        (self.config.threads_per_core > 1).then(|| now_us.saturating_sub(self.began_us)).hash(hasher);
         let resend_us = self.config.resend_us;
         for peer in self.peers.all.iter() {
             peer.fingerprint(hasher);
@@ -427,7 +428,7 @@ impl<'s> Worker<'s> {
 
     /// Asks somebody, if there is nothing queued.
     fn look_for_work(&mut self, now_us: u64) {
-        if self.hand.queued > 0 || !self.asks_in_frame() {
+        if self.hand.queued > 0 || !self.asks_in_frame() || self.asking.pending.is_some() {
             return;
         }
         let asks_at_us = self.asks_at_us();
