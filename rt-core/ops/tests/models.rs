@@ -59,3 +59,8 @@ fn the_central_queue_survives_a_loss_and_a_death() {
 fn what_comes_late_from_the_last_frame_changes_nothing() {
     assert_holds(Cluster::TWO_FRAMES, 296_976, &[model::STOLEN, model::REDRAWN]);
 }
+
+#[test]
+fn nodes_that_share_cores_wait_and_end_their_frame() {
+    assert_holds(Cluster::SHARED_CORES, 121_483, &[model::REFUSED]);
+}

@@ -18,6 +18,7 @@ pub(crate) struct Cluster {
     /// Tiles may be lost on their way to the display, which confirms those that come.
     pub(crate) confirms: bool,
     pub(crate) frames: u8,
+    pub(crate) shares_cores: bool,
     pub(crate) budget: Budget,
 }
 
@@ -74,6 +75,7 @@ impl Cluster {
         balancer: Balancer::StealNear,
         confirms: false,
         frames: 1,
+        shares_cores: false,
         budget: Budget::NONE,
     };
     pub(crate) const DEATH: Self = Self { budget: Budget { crashes: 1, ..Budget::NONE }, ..Self::CALM };
@@ -88,6 +90,8 @@ impl Cluster {
         ..Self::TILE_LOSS
     };
     /// What is left under way of a frame when the next begins.
+    /// Nodes share cores: who has nothing waits before it asks.
+    pub(crate) const SHARED_CORES: Self = Self { shares_cores: true, ..Self::DEATH };
     pub(crate) const TWO_FRAMES: Self = Self { frames: 2, tiles: 2, ..Self::DOUBLE };
 }
 
@@ -111,7 +115,7 @@ impl Cluster {
             columns: self.tiles,
             rows: 1,
             threads: 1,
-            shares_cores: false,
+            shares_cores: self.shares_cores,
             balancer: self.balancer,
             confirms: self.confirms,
             is_pageless: true,

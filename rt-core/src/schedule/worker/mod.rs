@@ -343,7 +343,8 @@ impl<'s> Worker<'s> {
         self.hand.tiles.hash(hasher);
         let left_us = |moment_us: u64| moment_us.saturating_sub(now_us);
         (self.unconfirmed > 0).then(|| left_us(self.deliver_at_us)).hash(hasher);
-        (self.config.threads_per_core > 1).then(|| now_us.saturating_sub(self.began_us)).hash(hasher);
+        // The wait where cores are shared, or how long it is over: what more is drawn lengthens it.
+        (self.config.threads_per_core > 1).then(|| left_us(self.asks_at_us() + LONG_US)).hash(hasher);
         let resend_us = self.config.resend_us;
         for peer in self.peers.all.iter() {
             peer.fingerprint(hasher);
@@ -562,6 +563,10 @@ const MARGIN_PART: u64 = 8;
 
 /// How long a system leaves a core to one thread while others wait for it, about.
 const TURN_US: u64 = 3000;
+
+/// The tiles of a model's frame lengthen a wait by less than this, so of one that has been over for longer it does not matter
+/// for how long.
+const LONG_US: u64 = 10_000;
 
 /// A tile that takes so many times what it is to take, and at least so many microseconds, was drawn by a slow node.
 const SLOW: u32 = 4;
