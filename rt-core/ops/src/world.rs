@@ -168,11 +168,10 @@ impl<'m> World<'m> {
     /// The timers that go off next: what is due first, if all messages have arrived.
     #[must_use]
     pub fn timers(&mut self) -> Vec<Op> {
-        let deadlines: Vec<Option<u64>> = (0..=self.members.len()).map(|who| self.deadline(who)).collect();
-        let first = deadlines.iter().flatten().min().copied();
-        let is_first = |(_, deadline): &(usize, Option<u64>)| deadline.is_some() && *deadline == first;
-        let due = deadlines.into_iter().enumerate().filter(is_first);
-        due.filter_map(|(who, _)| u8::try_from(who).ok()).map(Op::Timer).collect()
+        let Some(first) = self.first_deadline() else { return Vec::new() };
+        let mut due = Vec::from_iter(0..=self.members.len());
+        due.retain(|who| self.deadline(*who) == Some(first));
+        due.into_iter().filter_map(|who| u8::try_from(who).ok()).map(Op::Timer).collect()
     }
 
     /// Messages under way.
@@ -291,7 +290,9 @@ impl<'m> World<'m> {
                 );
                 return;
             }
-            self.advance(RESEND_US);
+            // A node that lets others have its core first may wait for much longer than for an answer.
+            let next_us = self.first_deadline().unwrap_or(0).saturating_sub(self.now_us);
+            self.advance(RESEND_US.max(next_us));
             self.check();
         }
         assert_eq!(self.ledger.missing(), 0, "TERMINATES: the frame does not become whole");
@@ -476,6 +477,10 @@ impl<'m> World<'m> {
             worker::Output::Idle(deadline) => deadline,
             output => unreachable!("all that is due has been sent, and there is {output:?}"),
         }
+    }
+
+    fn first_deadline(&mut self) -> Option<u64> {
+        (0..=self.members.len()).filter_map(|who| self.deadline(who)).min()
     }
 
     fn crash(&mut self, node: usize) {

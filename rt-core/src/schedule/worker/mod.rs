@@ -429,7 +429,8 @@ impl<'s> Worker<'s> {
 
     /// Asks somebody, if there is nothing queued.
     fn look_for_work(&mut self, now_us: u64) {
-        if self.hand.queued > 0 || !self.asks_in_frame() || self.asking.pending.is_some() {
+        let is_alone = self.config.nodes <= 1;
+        if is_alone || self.hand.queued > 0 || !self.asks_in_frame() || self.asking.pending.is_some() {
             return;
         }
         let asks_at_us = self.asks_at_us();
