@@ -47,11 +47,11 @@ use crate::filter::Filter;
 use crate::grid::{
     BoxFrame, Branch, CELL_CORNERS, ClusterRef, LEVELS_MAX, LeafContent, SpheresRef, flip_cells,
 };
-use crate::grid_ray::GridRay;
+use crate::grid_ray::{GridRay, of_quarters};
 use crate::image::Header;
 use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
-use crate::simd::{LANES, Part, Simd};
+use crate::simd::{LANES, Part, Simd, each};
 use crate::sphere::SphereCluster;
 use crate::triangle_test::{InLanes, TriangleTest};
 use crate::triangle_woop::WoopRay;
@@ -164,20 +164,31 @@ struct Visit {
     left: u64,
     /// Runs that were visited, one bit each.
     done: u64,
-    /// When the ray enters each cell, in the order of `left`.
-    enter: [[f32; LANES]; 4],
 }
 
+/// When the ray enters each cell of a branch, in the order of `left`.
+type Enter = [[f32; LANES]; 4];
+
 impl Visit {
-    /// Takes the nearest cell that is left and that the ray enters before `t_max`.
+    /// Takes the nearest cell that is left and that the ray enters before `t_max`, which with `ANY` is what it was when the
+    /// cells were culled.
     #[inline(always)]
-    const fn next_cell(&mut self, flip: u32, t_max: f32) -> Option<u32> {
+    fn next_cell<S: Simd, const ANY: bool>(
+        &mut self,
+        s: S,
+        enter: &Enter,
+        flip: u32,
+        t_max: f32,
+    ) -> Option<u32> {
         while self.left != 0 {
             let nearest = self.left.trailing_zeros();
             self.left &= self.left - 1;
-            if self.enter[nearest as usize / LANES % 4][nearest as usize % LANES] <= t_max {
+            if ANY || enter[nearest as usize / LANES % 4][nearest as usize % LANES] <= t_max {
                 return Some(nearest ^ flip);
             }
+            // Where one cell lies behind a hit, others will, too.
+            let t_max = s.splat(t_max);
+            self.left &= of_quarters(each!(4: enter, enter => s.le(s.load(enter), t_max)));
         }
         None
     }
@@ -188,44 +199,48 @@ impl<S: Simd, M: SceneMemory, T: TriangleTest, F: Filter, C: Count> Walk<'_, S, 
     #[inline(always)]
     pub(crate) fn run<K: Kinds, const ANY: bool>(&mut self, start: Place) -> Result<(), Damaged> {
         let levels = self.scene.header().grid.levels;
-        let mut open = Vec::<Visit, LEVELS_MAX>::new();
-        let mut next = start;
+        let mut above = Vec::<Visit, LEVELS_MAX>::new();
+        let mut enters = Vec::<Enter, LEVELS_MAX>::new();
+        let mut visit = self.enter(start, &mut enters)?;
         loop {
-            let visit = self.enter(next)?;
-            open.push(visit).map_err(|_| Damaged::Depth)?;
-            next = loop {
-                let Some(visit) = open.last_mut() else { return Ok(()) };
-                let Some(cell) = visit.next_cell(self.ray.flip(), self.nearest.crossing.t) else {
-                    open.pop();
-                    continue;
-                };
-                if visit.branch.inner >> cell & 1 != 0 {
-                    break visit.place.child(&visit.branch, cell, levels)?;
-                }
-                let run = visit.branch.run_of(cell).ok_or(Damaged::Leaf(u32::MAX))?;
-                if visit.done >> run & 1 != 0 {
-                    continue;
-                }
-                visit.done |= 1 << run;
-                let (place, leaf) = (visit.place, visit.branch.leaf);
-                self.visit_run::<K, ANY>(&place, leaf.checked_add(run).ok_or(Damaged::Leaf(u32::MAX))?)?;
-                if ANY && self.nearest.surface.is_some() {
-                    return Ok(());
-                }
+            let (flip, t_max) = (self.ray.flip(), self.nearest.crossing.t);
+            let Some(enter) = enters.last() else { return Ok(()) };
+            let Some(cell) = visit.next_cell::<S, ANY>(self.s, enter, flip, t_max) else {
+                let Some(last) = above.pop() else { return Ok(()) };
+                enters.pop();
+                visit = last;
+                continue;
             };
+            if visit.branch.inner >> cell & 1 != 0 {
+                let child = visit.place.child(&visit.branch, cell, levels)?;
+                above.push(visit).map_err(|_| Damaged::Depth)?;
+                visit = self.enter(child, &mut enters)?;
+                continue;
+            }
+            let run = visit.branch.run_of(cell).ok_or(Damaged::Leaf(u32::MAX))?;
+            if visit.done >> run & 1 != 0 {
+                continue;
+            }
+            visit.done |= 1 << run;
+            let leaf = visit.branch.leaf.checked_add(run).ok_or(Damaged::Leaf(u32::MAX))?;
+            self.visit_run::<K, ANY>(&visit.place, leaf)?;
+            if ANY && self.nearest.surface.is_some() {
+                return Ok(());
+            }
         }
     }
 
     /// Reads a branch and culls its cells.
     #[inline(always)]
-    fn enter(&mut self, place: Place) -> Result<Visit, Damaged> {
+    fn enter(&mut self, place: Place, enters: &mut Vec<Enter, LEVELS_MAX>) -> Result<Visit, Damaged> {
         Budget::spend(&mut self.budget.branches)?;
         let branch = self.scene.branch(place.index)?;
         self.count.branch();
         let t_max = self.nearest.crossing.t;
         let (entered, enter) = self.ray.cells_entered(self.s, place.corner, place.cell, t_max);
+        enters.push(enter).map_err(|_| Damaged::Depth)?;
         let left = flip_cells(branch.occupied, self.ray.flip()) & entered;
-        Ok(Visit { branch, place, left, done: 0, enter })
+        Ok(Visit { branch, place, left, done: 0 })
     }
 
     /// Tests what a run holds.
