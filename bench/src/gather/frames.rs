@@ -3,7 +3,7 @@
 use anyhow::Result;
 use kernels::Draw;
 use memsavvy::session::{Path, Session, Way};
-use rt_core::{Flat, Frame, Kernel, Orbit, SceneView, TILE_SIZE, Tiles};
+use rt_core::{Flat, Frame, Kernel, Orbit, SceneView, TILE_SIZE, Tile, TileCounts};
 use scene::{BuildOptions, Model, build, builtin, read_mesh};
 
 use super::Amount;
@@ -35,12 +35,11 @@ pub(crate) struct Frames {
     pub(crate) camera: Camera,
     pub(crate) size: usize,
     pub(crate) pictures: Vec<Vec<u8>>,
+    /// For each picture and each of some edges, what is counted for each tile.
+    counts: Vec<Vec<(usize, Vec<TileCounts>)>>,
 }
 
 const PAGE_BYTES: u32 = 16 << 10;
-
-/// Bytes of a tile's number, counts and length.
-pub(crate) const HEAD_BYTES: u64 = 16;
 
 /// Bunny and dragon from near and far where they are, and else a knot.
 pub(crate) fn scenes(effort: Effort) -> Result<Vec<Scene>> {
@@ -90,17 +89,31 @@ impl Camera {
 }
 
 impl Frames {
-    pub(crate) fn draw(scene: &Scene, camera: Camera, amount: Amount) -> Result<Self> {
+    /// Draws them in tiles of each of `edges`, which cover the same pixels.
+    pub(crate) fn draw(scene: &Scene, camera: Camera, amount: Amount, edges: &[usize]) -> Result<Self> {
         let view = SceneView::new(Flat::new(&scene.image))?;
         let orbit = Orbit::around(&view.header().view);
         let session = camera.session(amount.frames, scene.radius)?;
-        let draw = |(number, moment): (u32, &memsavvy::session::Moment)| {
-            let size = [amount.size, amount.size];
-            let frame = Frame::aimed(number, &orbit, &moment.aim, moment.light, size)?;
-            Ok(draw(&view, &frame))
-        };
-        let pictures = (0..).zip(session.moments()).map(draw).collect::<Result<_>>()?;
-        Ok(Self { name: scene.name.clone(), camera, size: amount.size as usize, pictures })
+        let size = amount.size as usize;
+        let mut frames =
+            Self { name: scene.name.clone(), camera, size, pictures: Vec::new(), counts: Vec::new() };
+        for (number, moment) in (0..).zip(session.moments()) {
+            let frame = Frame::aimed(number, &orbit, &moment.aim, moment.light, [amount.size; 2])?;
+            let mut picture = vec![0; size * size];
+            let mut of_tiles = |edge: usize| {
+                let tiles = frames.tiles(edge);
+                (edge, tiles.map(|(at, extent)| draw(&view, &frame, at, extent, &mut picture)).collect())
+            };
+            frames.counts.push(edges.iter().map(|edge| of_tiles(*edge)).collect());
+            frames.pictures.push(picture);
+        }
+        Ok(frames)
+    }
+
+    /// What is counted for each tile of a frame.
+    pub(crate) fn counts(&self, frame: usize, edge: usize) -> &[TileCounts] {
+        let of_edge = self.counts[frame].iter().find(|(of, _)| *of == edge);
+        of_edge.map_or(&[], |(_, counts)| counts)
     }
 
     /// Where tiles of that edge lie, and how large they are.
@@ -126,11 +139,6 @@ impl Frames {
         }
     }
 
-    /// Bytes of a frame whose tiles travel as they are.
-    pub(crate) fn raw_bytes(&self, edge: usize) -> u64 {
-        (self.size * self.size) as u64 + HEAD_BYTES * self.tiles(edge).count() as u64
-    }
-
     /// Share of the tiles that are as in the frame before.
     pub(crate) fn unchanged(&self, edge: usize) -> f64 {
         let (mut same, mut all) = (0_u32, 0_u32);
@@ -147,18 +155,23 @@ impl Frames {
     }
 }
 
-fn draw(scene: &SceneView<Flat<'_>>, frame: &Frame) -> Vec<u8> {
-    let (tiles, kernel) = (Tiles::of(frame.width, frame.height), Kernel::fastest());
-    let row = frame.width as usize;
-    let mut picture = vec![0; row * frame.height as usize];
+/// Draws a tile into a picture of square frames.
+fn draw(
+    scene: &SceneView<Flat<'_>>,
+    frame: &Frame,
+    at: [usize; 2],
+    extent: [usize; 2],
+    picture: &mut [u8],
+) -> TileCounts {
+    let [x, y, width, height] =
+        [at[0], at[1], extent[0], extent[1]].map(|pixels| u32::try_from(pixels).unwrap_or(0));
     let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
-    for tile in tiles.ids().filter_map(|id| tiles.get(id)) {
-        let pixels = &mut pixels[..tile.pixels()];
-        Draw::render_tile(scene, frame, tile, kernel, pixels);
-        for (y, line) in (tile.y as usize..).zip(pixels.chunks_exact(tile.width as usize)) {
-            let start = y * row + tile.x as usize;
-            picture[start..start + line.len()].copy_from_slice(line);
-        }
+    let pixels = &mut pixels[..extent[0] * extent[1]];
+    let tile = Tile { x, y, width, height };
+    let counts = Draw::render_tile(scene, frame, tile, Kernel::fastest(), pixels);
+    for (line, from) in (at[1]..).zip(pixels.chunks_exact(extent[0])) {
+        let start = line * frame.width as usize + at[0];
+        picture[start..start + from.len()].copy_from_slice(from);
     }
-    picture
+    counts
 }

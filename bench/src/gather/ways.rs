@@ -4,9 +4,11 @@ use std::time::Instant;
 
 use anyhow::{Result, ensure};
 use memsavvy::gather::codec::{Coding, Encoder, decode};
+use memsavvy::gather::head::{Head, Heads};
 use memsavvy::gather::place;
+use rt_core::TileId;
 
-use super::frames::{Frames, HEAD_BYTES};
+use super::frames::Frames;
 use crate::spread::Spread;
 
 /// A way.
@@ -22,8 +24,11 @@ pub(crate) enum Way {
     NearLz4,
     /// lz4 of the difference to the last frame.
     DeltaLz4,
+    /// All pixels as they are, changed or not.
+    Raw,
 }
 
+/// Ours, and those it was chosen over.
 pub(crate) const WAYS: [Way; 5] = [Way::Ours, Way::Spatial, Way::Lz4, Way::NearLz4, Way::DeltaLz4];
 
 /// What a way costs.
@@ -53,6 +58,7 @@ impl Way {
             Self::Lz4 => "lz4",
             Self::NearLz4 => "near",
             Self::DeltaLz4 => "delta",
+            Self::Raw => "raw",
         }
     }
 
@@ -62,6 +68,7 @@ impl Way {
             Self::Ours => Some(before),
             Self::Spatial => None,
             Self::Lz4 => return lz4(pixels),
+            Self::Raw => return Ok(pixels.len()),
             Self::NearLz4 => {
                 let near = |index: usize| match index {
                     0 => pixels[0],
@@ -105,14 +112,19 @@ impl Cost {
     /// Bytes of one frame, heads of tiles included.
     pub(crate) fn bytes_of_frame(way: Way, frames: &Frames, edge: usize, frame: usize) -> Result<u64> {
         let (mut now, mut before, mut encoder) = (Vec::new(), Vec::new(), Encoder::default());
+        let (mut heads, mut written) = (Heads::default(), Vec::new());
         let mut bytes = 0;
-        for (at, size) in frames.tiles(edge) {
+        for ((id, (at, size)), counts) in (0..).zip(frames.tiles(edge)).zip(frames.counts(frame, edge)) {
             frames.cut(frame, at, size, &mut now);
             frames.cut(frame - 1, at, size, &mut before);
-            let pixels = if now == before { 0 } else { way.bytes(size[0], &now, &before, &mut encoder)? };
-            bytes += HEAD_BYTES + pixels as u64;
+            let is_same = now == before && way != Way::Raw;
+            let length = if is_same { 0 } else { way.bytes(size[0], &now, &before, &mut encoder)? };
+            let coding = if is_same { Coding::Same } else { Coding::Spatial };
+            let head = Head { id: TileId(id), counts: *counts, coding, length: u16::try_from(length)? };
+            heads.write(&head, &mut written);
+            bytes += length as u64;
         }
-        Ok(bytes)
+        Ok(bytes + written.len() as u64)
     }
 }
 

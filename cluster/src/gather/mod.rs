@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `bands` | which display puts which part of the picture together |
 //! | [`codec`] | the pixels of a tile, made small without loss |
+//! | [`head`] | what is said of a tile before its pixels |
 //! | `parcel` | tiles in a packet |
 //! | `credit` | how much a node may have under way |
 //! | `outlet` | a node's side: what changed goes out, in parcels, as far as credit goes |
@@ -19,6 +20,7 @@ mod bands;
 pub mod codec;
 mod credit;
 mod display;
+pub mod head;
 mod outlet;
 mod parcel;
 mod part;

@@ -8,6 +8,7 @@ use rt_core::{Tile, TileCounts, TileId, Tiles};
 use super::bands::Bands;
 use super::codec::Encoder;
 use super::credit::Window;
+use super::head::Head;
 use super::parcel::{Packed, Parcel};
 use crate::link::Link;
 
@@ -150,7 +151,8 @@ impl<'a> Sender<'a> {
         };
         self.outlets.kept().put(id, frame, kept);
         let display = Bands::of(tiles, self.parcels.len()).display_of(id);
-        let packed = Packed { id, counts: *counts, coding, bytes: &self.scratch };
+        let length = u16::try_from(self.scratch.len()).context("a tile of more bytes than pixels")?;
+        let packed = Packed { head: Head { id, counts: *counts, coding, length }, bytes: &self.scratch };
         let parcel = &mut self.parcels[display];
         if parcel.tiles() == 0 {
             *parcel = Parcel::new(frame);

@@ -1,13 +1,12 @@
 //! Parcels: tiles of one frame on their way from a thread that drew them to a display.
 //!
 //! # Layout
-//! The frame (4 bytes); then for each tile its number (4 bytes), what was counted while it was drawn (5 times 2 bytes),
-//! the coding and the length of its bytes (2 bits above 14 bits), little-endian, and the bytes.
+//! The frame (4 bytes, little-endian); then for each tile its [head](super::head) and the bytes of its pixels.
 
 use anyhow::{Context, Result, bail};
-use rt_core::{TILE_SIZE, TileCounts, TileId};
+use rt_core::TileId;
 
-use super::codec::Coding;
+use super::head::{Head, Heads};
 
 /// Bytes of the largest parcel; well below a node's credit, so that there is always one under way while the next is
 /// filled.
@@ -18,28 +17,20 @@ pub(crate) const PARCEL_BYTES_MAX: usize = 32 << 10;
 pub(crate) struct Parcel {
     frame: u32,
     tiles: u16,
+    heads: Heads,
     bytes: Vec<u8>,
 }
 
 /// A tile in a parcel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Packed<'a> {
-    pub(crate) id: TileId,
-    pub(crate) counts: TileCounts,
-    pub(crate) coding: Coding,
+    pub(crate) head: Head,
+    /// As many as the head says.
     pub(crate) bytes: &'a [u8],
 }
 
-/// Bytes before those of a tile's pixels.
-const HEAD_BYTES: usize = 4 + 5 * 2 + 2;
-
 /// Bytes before the first tile.
 const FRAME_BYTES: usize = 4;
-
-/// Bits of a length.
-const LENGTH_BITS: u32 = 14;
-
-const _: () = assert!(TILE_SIZE * TILE_SIZE < 1 << LENGTH_BITS);
 
 impl Parcel {
     /// An empty one for a frame.
@@ -49,18 +40,14 @@ impl Parcel {
 
     /// Adds a tile, unless there is no room.
     pub(crate) fn push(&mut self, tile: &Packed<'_>) -> bool {
-        if FRAME_BYTES + self.bytes.len() + HEAD_BYTES + tile.bytes.len() > PARCEL_BYTES_MAX {
+        let (length, mut heads) = (self.bytes.len(), self.heads);
+        heads.write(&tile.head, &mut self.bytes);
+        self.bytes.extend(tile.bytes);
+        if FRAME_BYTES + self.bytes.len() > PARCEL_BYTES_MAX {
+            self.bytes.truncate(length);
             return false;
         }
-        let length = u16::try_from(tile.bytes.len()).unwrap_or(u16::MAX);
-        self.bytes.extend(tile.id.0.to_le_bytes());
-        // A tile has 1024 pixels, and each has a ray or two.
-        let TileCounts { primary, hits, shadow, lit, damaged, .. } = tile.counts;
-        for count in [primary, hits, shadow, lit, damaged] {
-            self.bytes.extend(u16::try_from(count).unwrap_or(u16::MAX).to_le_bytes());
-        }
-        self.bytes.extend((length | (tile.coding as u16) << LENGTH_BITS).to_le_bytes());
-        self.bytes.extend(tile.bytes);
+        self.heads = heads;
         self.tiles += 1;
         true
     }
@@ -81,44 +68,35 @@ impl Parcel {
 /// The frame of a packet, and its tiles.
 pub(crate) fn open(packet: &[u8]) -> Result<(u32, impl Iterator<Item = Result<Packed<'_>>>)> {
     let (frame, mut rest) = packet.split_first_chunk().context("half a parcel of tiles")?;
+    let mut heads = Heads::default();
     let tiles = core::iter::from_fn(move || {
         if rest.is_empty() {
             return None;
         }
-        let taken = take_tile(rest);
-        rest = taken.as_ref().map_or(&[][..], |(_, rest)| rest);
-        Some(taken.map(|(tile, _)| tile))
+        let taken = take_tile(&mut heads, &mut rest);
+        if taken.is_err() {
+            rest = &[];
+        }
+        Some(taken)
     });
     Ok((u32::from_le_bytes(*frame), tiles))
 }
 
-fn take_tile(bytes: &[u8]) -> Result<(Packed<'_>, &[u8])> {
-    let (id, rest) = bytes.split_first_chunk().context("half a tile's number")?;
-    let (counts, rest) = rest.split_first_chunk::<10>().context("half a tile's counts")?;
-    let (head, rest) = rest.split_first_chunk().context("half a tile's length")?;
-    let (id, head) = (TileId(u32::from_le_bytes(*id)), u16::from_le_bytes(*head));
-    let length = usize::from(head & ((1 << LENGTH_BITS) - 1));
-    let Some((bytes, rest)) = rest.split_at_checked(length) else {
-        bail!("tile {} of {length} bytes, of which {} are there", id.0, rest.len());
+fn take_tile<'a>(heads: &mut Heads, rest: &mut &'a [u8]) -> Result<Packed<'a>> {
+    let head = heads.read(rest)?;
+    let Head { id: TileId(id), length, .. } = head;
+    let Some((bytes, after)) = rest.split_at_checked(length.into()) else {
+        bail!("tile {id} of {length} bytes, of which {} are there", rest.len());
     };
-    let coding = match head >> LENGTH_BITS {
-        0 => Coding::Same,
-        1 => Coding::Raw,
-        2 => Coding::Spatial,
-        _ => Coding::Temporal,
-    };
-    Ok((Packed { id, counts: counts_of(counts), coding, bytes }, rest))
-}
-
-fn counts_of(bytes: &[u8; 10]) -> TileCounts {
-    let mut counts = bytes.as_chunks::<2>().0.iter().map(|count| u64::from(u16::from_le_bytes(*count)));
-    let mut next = || counts.next().unwrap_or_default();
-    let (primary, hits, shadow, lit, damaged) = (next(), next(), next(), next(), next());
-    TileCounts { primary, hits, shadow, lit, damaged, t_sum: 0.0 }
+    *rest = after;
+    Ok(Packed { head, bytes })
 }
 
 #[cfg(test)]
 mod tests {
+    use rt_core::TileCounts;
+
+    use super::super::codec::Coding;
     use super::*;
 
     const COUNTS: TileCounts = TileCounts { primary: 1, hits: 2, shadow: 3, lit: 4, damaged: 5, t_sum: 0.0 };
@@ -127,11 +105,11 @@ mod tests {
     fn tiles_travel_in_parcels_that_fit() {
         let codings = [Coding::Same, Coding::Raw, Coding::Spatial, Coding::Temporal];
         let bytes = [7; 1024];
-        let packed = |id: u32| Packed {
-            id: TileId(id),
-            counts: COUNTS,
-            coding: codings[id as usize % 4],
-            bytes: if id.is_multiple_of(4) { &[] } else { &bytes[..1024 - id as usize] },
+        let packed = |id: u32| {
+            let length = if id.is_multiple_of(4) { 0 } else { 1024 - u16::try_from(id).unwrap() };
+            let coding = codings[id as usize % 4];
+            let head = Head { id: TileId(id), counts: COUNTS, coding, length };
+            Packed { head, bytes: &bytes[..length.into()] }
         };
         let mut parcel = Parcel::new(7);
         let pushed = (0..1000).take_while(|id| parcel.push(&packed(*id))).count();
@@ -146,7 +124,8 @@ mod tests {
     #[test]
     fn half_a_parcel_is_an_error() {
         let mut parcel = Parcel::new(7);
-        assert!(parcel.push(&Packed { id: TileId(3), counts: COUNTS, coding: Coding::Raw, bytes: &[1; 9] }));
+        let head = Head { id: TileId(3), counts: COUNTS, coding: Coding::Raw, length: 9 };
+        assert!(parcel.push(&Packed { head, bytes: &[1; 9] }));
         let packet = parcel.to_packet();
         assert!(open(&packet[..FRAME_BYTES - 1]).is_err());
         for length in FRAME_BYTES + 1..packet.len() {

@@ -5,6 +5,7 @@ use rt_core::{Frame, TILE_SIZE, TileId, Tiles};
 
 use super::bands::Bands;
 use super::codec::{Coding, decode};
+use super::head::Head;
 use super::parcel::{Packed, open};
 use crate::control::Drawn;
 use crate::picture::Picture;
@@ -109,8 +110,9 @@ impl Part {
         }
         for tile in tiles {
             let tile = tile?;
-            if self.put(tile).with_context(|| format!("tile {}", tile.id.0))? {
-                arrived.push(tile.id);
+            let id = tile.head.id;
+            if self.put(tile).with_context(|| format!("tile {}", id.0))? {
+                arrived.push(id);
             }
         }
         self.traffic.parcels += 1;
@@ -119,7 +121,8 @@ impl Part {
     }
 
     /// Puts a tile in place, if it is not there yet.
-    fn put(&mut self, Packed { id, counts, coding, bytes }: Packed<'_>) -> Result<bool> {
+    fn put(&mut self, Packed { head, bytes }: Packed<'_>) -> Result<bool> {
+        let Head { id, counts, coding, .. } = head;
         let tile = self.tiles.get(id).with_context(|| format!("the picture has {}", self.tiles.count()))?;
         if self.bands().display_of(id) != self.display {
             bail!("it goes to another display than {}", self.display);
@@ -206,7 +209,9 @@ mod tests {
     /// A parcel with one tile.
     fn parcel(number: u32, id: u32, coding: Coding, bytes: &[u8]) -> Vec<u8> {
         let mut parcel = Parcel::new(number);
-        assert!(parcel.push(&Packed { id: TileId(id), counts: ONE_RAY, coding, bytes }));
+        let length = u16::try_from(bytes.len()).unwrap();
+        let head = Head { id: TileId(id), counts: ONE_RAY, coding, length };
+        assert!(parcel.push(&Packed { head, bytes }));
         parcel.to_packet()
     }
 

@@ -65,8 +65,8 @@ pub(super) struct Outlet {
     taken: Vec<u64>,
 }
 
-/// Bytes before those of a tile's pixels, and before the first tile.
-const HEAD_BYTES: u32 = 16;
+/// Bytes before those of a tile's pixels, about, and before the first tile.
+const HEAD_BYTES: u32 = 8;
 const FRAME_BYTES: u32 = 4;
 
 impl Gather {
