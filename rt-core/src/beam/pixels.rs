@@ -1,5 +1,6 @@
 //! The pixels of a tile, each looking for its nearest triangle.
 
+use bytemuck::Zeroable;
 use glam::Vec3;
 
 use super::boxes::SeenBox;
@@ -54,8 +55,9 @@ pub(super) struct Pixels<'a, M, K> {
     pub(super) far_seen: FarSeen,
 }
 
-/// What sixteen pixels have found.
-#[derive(Clone, Copy)]
+/// What sixteen pixels have found; nothing yet when all is 0.
+#[derive(Clone, Copy, Zeroable)]
+#[repr(C)]
 pub(super) struct Block {
     /// Least and greatest inverse depth of the nearest hit so far; 0 where there is none.
     pub(super) low: [f32; LANES],
@@ -65,6 +67,7 @@ pub(super) struct Block {
 }
 
 impl<'a, M: SceneMemory, K: Kinds> Pixels<'a, M, K> {
+    #[inline(always)]
     pub(super) fn new(view: &'a TileView<'_, M>, tile: Tile, depth_epsilon: f32) -> Self {
         let mut present = [Mask::MAX; BLOCKS];
         if tile.pixels() < BLOCKS * LANES {
@@ -76,7 +79,7 @@ impl<'a, M: SceneMemory, K: Kinds> Pixels<'a, M, K> {
             camera: &view.frame.camera,
             eye: view.eye,
             tile,
-            blocks: [Block { low: [0.0; LANES], high: [0.0; LANES], place: [0; LANES] }; BLOCKS],
+            blocks: [Block::zeroed(); BLOCKS],
             hit: [0; BLOCKS],
             present,
             winners: Winners::new(),

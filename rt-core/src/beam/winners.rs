@@ -1,5 +1,7 @@
 //! The triangles that pixels of a tile have found nearest so far.
 
+use heapless::Vec;
+
 use super::triangles::Corners;
 use crate::grid::ClusterRef;
 
@@ -9,7 +11,7 @@ use crate::grid::ClusterRef;
 /// # Invariants
 /// The cluster under test is the last; it stays when one of its triangles wins, and gives way to the next otherwise.
 pub(super) struct Winners {
-    clusters: [ClusterRef; CAPACITY],
+    clusters: Vec<ClusterRef, CAPACITY>,
     current: usize,
     /// Whether a triangle of the last cluster has won.
     pub(super) has_won: bool,
@@ -20,7 +22,7 @@ const CAPACITY: usize = 1280;
 
 impl Winners {
     pub(super) const fn new() -> Self {
-        Self { clusters: [ClusterRef::NONE; CAPACITY], current: 0, has_won: false }
+        Self { clusters: Vec::new(), current: 0, has_won: false }
     }
 
     /// Takes up the next cluster. `used` goes through the places that pixels hold, and is called when the table is full.
@@ -35,7 +37,10 @@ impl Winners {
         if self.current == CAPACITY {
             self.clear_out(used());
         }
-        self.clusters[self.current % CAPACITY] = *cluster;
+        match self.clusters.get_mut(self.current) {
+            Some(current) => *current = *cluster,
+            None => _ = self.clusters.push(*cluster),
+        }
     }
 
     /// The place of a triangle of the last cluster.
@@ -44,28 +49,27 @@ impl Winners {
         self.current as u32 * Corners::COUNT + triangle.name()
     }
 
-    /// The cluster and the triangle at a place.
+    /// The cluster and the triangle at a place; of a place that nobody holds, no cluster.
     #[inline(always)]
-    pub(super) const fn get(&self, place: u32) -> (&ClusterRef, Corners) {
-        (&self.clusters[cluster_of(place)], Corners::of(place))
+    pub(super) fn get(&self, place: u32) -> (&ClusterRef, Corners) {
+        (self.clusters.get(cluster_of(place)).unwrap_or(&ClusterRef::NONE), Corners::of(place))
     }
 
     /// Keeps only the clusters in use, and corrects the places.
     #[inline(never)]
     fn clear_out<'a>(&mut self, places: impl Iterator<Item = &'a mut u32>) {
         const UNUSED: u16 = u16::MAX;
-        let kept = self.clusters;
+        let kept = core::mem::take(&mut self.clusters);
         let mut moved = [UNUSED; CAPACITY];
-        self.current = 0;
         for place in places {
             let (old, triangle) = (cluster_of(*place), Corners::of(*place));
             if moved[old] == UNUSED {
-                moved[old] = self.current as u16;
-                self.clusters[self.current] = kept[old];
-                self.current += 1;
+                moved[old] = self.clusters.len() as u16;
+                self.clusters.extend(kept.get(old).copied());
             }
             *place = u32::from(moved[old]) * Corners::COUNT + triangle.name();
         }
+        self.current = self.clusters.len();
     }
 }
 
