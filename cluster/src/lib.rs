@@ -22,6 +22,7 @@
 //! | [`diagnostic`] | pictures of who draws what, who owns what, where misses and time go |
 //! | `describe` | a volume in words and bars |
 //! | `picture`, `output` | pixels to PNG, and their hash; files that are whole or not there |
+//! | `varint` | numbers in as few bytes as they need |
 //!
 //! # Life of a run
 //!
@@ -59,5 +60,6 @@ pub mod session;
 pub mod size;
 mod supervisor;
 pub mod trace;
+mod varint;
 
 pub use node::run_as_node_if_asked;

@@ -1,8 +1,7 @@
 //! What stands before the bytes of a tile in a parcel: five to nine bytes, mostly.
 //!
 //! # Layout
-//! Numbers below are of seven bits a byte, the lowest first; the highest bit says that one more follows. Of a number that
-//! may be negative the lowest bit is the sign.
+//! Numbers below are [varints](crate::varint); those that may be negative are folded.
 //! 1. The tile, less the one before it in the parcel.
 //! 2. A byte: the coding in the two lowest bits; then whether there are as many primary rays as in the tile before, and
 //!    whether any ray was damaged.
@@ -14,6 +13,7 @@ use anyhow::{Context, Result};
 use rt_core::{TileCounts, TileId};
 
 use super::codec::Coding;
+use crate::varint::{fold, put, take, unfold};
 
 /// The heads of the tiles of a parcel, in their order: each builds on the one before it.
 #[derive(Clone, Copy, Debug, Default)]
@@ -47,20 +47,20 @@ impl Heads {
         // A tile has 1024 pixels, and each has a ray or two.
         let [primary, hits, shadow, lit, damaged] =
             [primary, hits, shadow, lit, damaged].map(|count| u16::try_from(count).unwrap_or(u16::MAX));
-        put(fold(head.id.0.wrapping_sub(self.tile).cast_signed()), out);
+        put(out, fold(i64::from(head.id.0) - i64::from(self.tile)));
         let is_same = if primary == self.primary { SAME_PRIMARY } else { 0 };
         out.push(head.coding as u8 | is_same | if damaged == 0 { 0 } else { DAMAGED });
         if is_same == 0 {
-            put(primary.into(), out);
+            put(out, primary.into());
         }
         for (more, fewer) in [(primary, hits), (hits, shadow), (shadow, lit)] {
-            put(fold(i32::from(more) - i32::from(fewer)), out);
+            put(out, fold(i64::from(more) - i64::from(fewer)));
         }
         if damaged != 0 {
-            put(damaged.into(), out);
+            put(out, damaged.into());
         }
         if head.coding != Coding::Same {
-            put(head.length.into(), out);
+            put(out, head.length.into());
         }
         (self.tile, self.primary) = (head.id.0, primary);
     }
@@ -70,13 +70,15 @@ impl Heads {
     /// # Errors
     /// The bytes end too early, or are none that a head is written in.
     pub fn read(&mut self, bytes: &mut &[u8]) -> Result<Head> {
-        let id = self.tile.wrapping_add_signed(unfold(take(bytes).context("no tile's number")?));
+        let step = unfold(take(bytes).context("half a tile's number")?);
+        let id = i64::from(self.tile).checked_add(step).and_then(|id| u32::try_from(id).ok());
+        let id = id.with_context(|| format!("tile {} and {step} more", self.tile))?;
         let (flags, rest) = bytes.split_first().context("half a tile's head")?;
         *bytes = rest;
         let primary = if flags & SAME_PRIMARY == 0 { small(bytes)? } else { self.primary };
         let mut below = |more: u16| {
             let fewer = unfold(take(bytes).context("half a tile's counts")?);
-            let count = i32::from(more).checked_sub(fewer).and_then(|count| u16::try_from(count).ok());
+            let count = i64::from(more).checked_sub(fewer).and_then(|count| u16::try_from(count).ok());
             count.with_context(|| format!("tile {id}: a count of {more} less {fewer}"))
         };
         let hits = below(primary)?;
@@ -97,40 +99,10 @@ impl Heads {
     }
 }
 
-fn put(mut number: u32, out: &mut Vec<u8>) {
-    while number >= 0x80 {
-        out.push(number.to_le_bytes()[0] | 0x80);
-        number >>= 7;
-    }
-    out.push(number.to_le_bytes()[0]);
-}
-
-fn take(bytes: &mut &[u8]) -> Option<u32> {
-    let mut number = 0;
-    for shift in (0..32).step_by(7) {
-        let (byte, rest) = bytes.split_first()?;
-        *bytes = rest;
-        number |= u32::from(byte & 0x7f) << shift;
-        if byte & 0x80 == 0 {
-            return Some(number);
-        }
-    }
-    None
-}
-
 /// A number of at most 16 bits.
 fn small(bytes: &mut &[u8]) -> Result<u16> {
     let number = take(bytes).context("half a number in a tile's head")?;
     u16::try_from(number).with_context(|| format!("{number} in a tile's head"))
-}
-
-/// Small numbers of either sign become small ones.
-const fn fold(number: i32) -> u32 {
-    ((number << 1) ^ (number >> 31)).cast_unsigned()
-}
-
-const fn unfold(folded: u32) -> i32 {
-    (folded >> 1).cast_signed() ^ -(folded & 1).cast_signed()
 }
 
 #[cfg(test)]

@@ -1,8 +1,7 @@
 //! The file of a trace.
 //!
 //! # Layout
-//! The 8 bytes `MSVTRACE`; then numbers, each a *varint* (seven bits a byte, the lowest first, the highest bit set in all
-//! bytes but the last); then the XXH3 checksum of everything before it, 8 bytes, little-endian.
+//! The 8 bytes `MSVTRACE`; then numbers, each a [varint](crate::varint); then the XXH3 checksum of everything before it, 8 bytes, little-endian.
 //!
 //! ```text
 //! version = 1, page bytes, pages, nodes, width, height, frames,
@@ -21,6 +20,7 @@ use rt_core::TileId;
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::{NodeFrame, Trace};
+use crate::varint;
 
 /// Why a file is no trace that can be used.
 #[derive(Debug)]
@@ -84,15 +84,15 @@ impl Trace {
         let [width, height] = self.size.map(u64::from);
         let (page_bytes, pages) = (u64::from(self.page_bytes), u64::from(self.page_count));
         let head = [VERSION, page_bytes, pages, self.nodes.into(), width, height, self.frames.len() as u64];
-        head.into_iter().for_each(|number| push(&mut bytes, number));
+        head.into_iter().for_each(|number| varint::put(&mut bytes, number));
         for frame in self.frames.iter().flatten() {
-            push(&mut bytes, frame.tiles().len() as u64);
+            varint::put(&mut bytes, frame.tiles().len() as u64);
             for (TileId(tile), touches) in frame.tiles() {
-                push(&mut bytes, tile.into());
-                push(&mut bytes, touches.len() as u64);
+                varint::put(&mut bytes, tile.into());
+                varint::put(&mut bytes, touches.len() as u64);
                 let mut before = 0;
                 for page in touches {
-                    push(&mut bytes, fold(i64::from(*page) - before));
+                    varint::put(&mut bytes, varint::fold(i64::from(*page) - before));
                     before = i64::from(*page);
                 }
             }
@@ -159,7 +159,9 @@ impl Numbers<'_> {
             touches.clear();
             let mut before = 0;
             for _ in 0..self.next_below(COUNT_MAX, "number of touches")? {
-                let page = unfold(self.next()?).checked_add(before).and_then(|page| u32::try_from(page).ok());
+                let page = varint::unfold(self.next()?)
+                    .checked_add(before)
+                    .and_then(|page| u32::try_from(page).ok());
                 let page = page.filter(|page| *page < page_count);
                 let page = page.ok_or(TraceError::Impossible { what: "page outside the image", got: 0 })?;
                 touches.push(page);
@@ -181,34 +183,8 @@ impl Numbers<'_> {
     }
 
     fn next(&mut self) -> Result<u64, TraceError> {
-        let mut number = 0;
-        for shift in (0..64).step_by(7) {
-            let (byte, rest) = self.rest.split_first().ok_or(TraceError::Damaged)?;
-            self.rest = rest;
-            number |= u64::from(byte & 0x7F) << shift;
-            if byte & 0x80 == 0 {
-                return Ok(number);
-            }
-        }
-        Err(TraceError::Damaged)
+        varint::take(&mut self.rest).ok_or(TraceError::Damaged)
     }
-}
-
-fn push(bytes: &mut Vec<u8>, mut number: u64) {
-    while number >= 0x80 {
-        bytes.push((number & 0x7F) as u8 | 0x80);
-        number >>= 7;
-    }
-    bytes.push((number & 0x7F) as u8);
-}
-
-/// Small numbers of either sign become small ones.
-const fn fold(number: i64) -> u64 {
-    ((number << 1) ^ (number >> 63)).cast_unsigned()
-}
-
-const fn unfold(number: u64) -> i64 {
-    (number >> 1).cast_signed() ^ -(number & 1).cast_signed()
 }
 
 impl fmt::Display for TraceError {
@@ -257,17 +233,6 @@ mod tests {
     }
 
     #[test]
-    fn numbers_of_either_sign_survive_folding() {
-        for number in [0, -1, 1, 63, -64, 64, i64::from(u32::MAX), -i64::from(u32::MAX), i64::MAX, i64::MIN] {
-            let mut bytes = Vec::new();
-            push(&mut bytes, fold(number));
-            let mut numbers = Numbers { rest: &bytes };
-            assert_eq!(unfold(numbers.next().unwrap()), number);
-            assert!(numbers.rest.is_empty());
-        }
-    }
-
-    #[test]
     fn no_cut_and_no_changed_byte_goes_unnoticed() {
         let bytes = trace().to_bytes();
         for length in 0..bytes.len() {
@@ -284,7 +249,7 @@ mod tests {
     fn what_cannot_be_is_refused_even_with_a_good_checksum() {
         let sealed = |numbers: &[u64]| {
             let mut bytes = MAGIC.to_vec();
-            numbers.iter().for_each(|number| push(&mut bytes, *number));
+            numbers.iter().for_each(|number| varint::put(&mut bytes, *number));
             let checksum = xxh3_64(&bytes);
             bytes.extend(checksum.to_le_bytes());
             Trace::from_bytes(&bytes).map_err(|error| error.to_string())
