@@ -136,6 +136,11 @@ impl<M: SceneMemory> SceneMemory for Noted<'_, M> {
     }
 
     #[inline]
+    fn is_all_at_hand(&self) -> bool {
+        !self.notes.may_miss
+    }
+
+    #[inline]
     fn prefetch(&self, offset: u64, length: usize) {
         self.memory.prefetch(offset, length);
     }

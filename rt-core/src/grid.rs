@@ -308,6 +308,9 @@ const fn up_to(cell: u32) -> u64 {
 /// For each axis, the bits of a cell index that belong to it.
 pub const FLIP_AXIS: [u32; 3] = [0b001_001, 0b010_010, 0b100_100];
 
+/// All bits of a cell index.
+pub(crate) const ALL_AXES: u32 = 0b111_111;
+
 /// Most levels a grid may have: below, a cell is smaller than the rounding allowance of
 /// [`walk`](crate::walk).
 pub const LEVELS_MAX: usize = 10;

@@ -31,6 +31,12 @@ pub trait SceneMemory {
         true
     }
 
+    /// Whether that is so of all records, at any time. Who says no is read in the order that needs the fewest of them.
+    #[inline]
+    fn is_all_at_hand(&self) -> bool {
+        true
+    }
+
     /// Says that a record will be read soon. Changes nothing, and does not wait.
     #[inline]
     fn prefetch(&self, _offset: u64, _length: usize) {}

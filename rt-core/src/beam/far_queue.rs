@@ -1,4 +1,4 @@
-//! Clusters whose pages may be far away, the nearest first.
+//! Clusters whose pages may be far away, that of the greatest rank first.
 //!
 //! Each may cost a miss, so they wait longer than others: what is tested meanwhile may hide them for good.
 
@@ -12,7 +12,7 @@ pub(super) struct FarQueue {
     waiting: Vec<Waiting, FAR_MAX>,
     /// Places in `waiting` that are free again.
     free: Vec<u8, FAR_MAX>,
-    /// A greatest inverse depth, as an integer of the same order, above a place.
+    /// A rank, as an integer of the same order, above a place.
     order: BinaryHeap<u64, Max, FAR_MAX>,
 }
 
@@ -28,16 +28,16 @@ impl FarQueue {
         self.order.len() == FAR_MAX
     }
 
-    /// The greatest inverse depth of any that waits.
+    /// The greatest rank of any that waits.
     #[inline]
-    pub(super) fn near(&self) -> Option<f32> {
+    pub(super) fn first(&self) -> Option<f32> {
         self.order.peek().map(|key| f32::from_bits((key >> 32) as u32))
     }
 
     /// Adds a cluster to a queue that is not full.
     #[inline]
     pub(super) fn push(&mut self, next: Waiting) {
-        let near = next.bounds.near.max(0.0).to_bits();
+        let rank = next.rank.max(0.0).to_bits();
         let place = match self.free.pop() {
             Some(place) => {
                 self.waiting[usize::from(place)] = next;
@@ -51,13 +51,13 @@ impl FarQueue {
                 place
             }
         };
-        let pushed = self.order.push(u64::from(near) << 32 | place);
+        let pushed = self.order.push(u64::from(rank) << 32 | place);
         debug_assert!(pushed.is_ok(), "the queue is not full");
     }
 
-    /// Takes the nearest away.
+    /// Takes the first away.
     #[inline]
-    pub(super) fn take_nearest(&mut self) -> Option<Waiting> {
+    pub(super) fn take_first(&mut self) -> Option<Waiting> {
         let place = place_of(self.order.pop()?);
         let freed = u8::try_from(place).map(|place| self.free.push(place));
         debug_assert!(freed.is_ok_and(|pushed| pushed.is_ok()), "a place is freed once");

@@ -21,8 +21,9 @@
 //! # What may be far away
 //! A page may have to be fetched. So before a record of a page that is not [at hand](SceneMemory::is_at_hand) is read, all
 //! that is nearer is tested, and then each ray is asked whether it meets the box ([`boxes`]); and clusters on such pages wait
-//! longer than others ([`far_queue`]). So beams read hardly more pages than rays do. Where all is at hand nothing of this is
-//! compiled in.
+//! longer than others ([`far_queue`]). Rays to the light start at their points, and most that are blocked are blocked close by;
+//! so shadow beams then go from their far end towards the light. So beams read hardly more pages than rays do. Where all is at
+//! hand nothing of this is compiled in.
 //!
 //! # What keeps it fast
 //! Each step has full lanes and few branches that cannot be foretold: candidates are packed together before the next

@@ -1,4 +1,4 @@
-//! Clusters that wait to be tested, the nearest first.
+//! Clusters that wait to be tested, that of the greatest rank first: mostly the nearest.
 
 use super::boxes::SeenBox;
 use super::triangles::Bounds;
@@ -8,8 +8,8 @@ use crate::simd::{LANES, Simd};
 /// Up to sixteen clusters. While they wait, their bytes come nearer, and what is tested before may hide them.
 pub(super) struct Queue<F> {
     waiting: [Waiting; LANES],
-    /// Greatest inverse depths; below 0 where nobody waits.
-    near: F,
+    /// Their ranks; below 0 where nobody waits.
+    ranks: F,
     count: usize,
 }
 
@@ -19,6 +19,8 @@ pub(super) struct Waiting {
     pub(super) place: ClusterRef,
     pub(super) bounds: Bounds,
     pub(super) seen: SeenBox,
+    /// As the walk has it; 0 or more.
+    pub(super) rank: f32,
 }
 
 impl<F: Copy> Queue<F> {
@@ -26,7 +28,7 @@ impl<F: Copy> Queue<F> {
         let place = ClusterRef::NONE;
         let bounds = Bounds { left: 0.0, right: 0.0, top: 0.0, bottom: 0.0, near: 0.0 };
         let seen = SeenBox { centre: [0.0; 3], half: [0.0; 3] };
-        Self { waiting: [Waiting { place, bounds, seen }; LANES], near: s.splat(-1.0), count: 0 }
+        Self { waiting: [Waiting { place, bounds, seen, rank: 0.0 }; LANES], ranks: s.splat(-1.0), count: 0 }
     }
 
     pub(super) const fn is_full(&self) -> bool {
@@ -39,28 +41,28 @@ impl<F: Copy> Queue<F> {
         // The places in use are the first ones.
         let place = self.count % LANES;
         self.waiting[place] = next;
-        self.near = s.select(1 << place, s.splat(next.bounds.near), self.near);
+        self.ranks = s.select(1 << place, s.splat(next.rank), self.ranks);
         self.count += 1;
     }
 
-    /// Takes the nearest away if it is nearer than an inverse depth of `near`.
+    /// Takes the first away if its rank is greater than `rank`.
     #[inline(always)]
-    pub(super) fn take_nearer<S: Simd<F = F>>(&mut self, s: S, near: f32) -> Option<Waiting> {
-        if s.lt(s.splat(near), self.near) == 0 { None } else { self.take_nearest(s) }
+    pub(super) fn take_before<S: Simd<F = F>>(&mut self, s: S, rank: f32) -> Option<Waiting> {
+        if s.lt(s.splat(rank), self.ranks) == 0 { None } else { self.take_first(s) }
     }
 
-    /// Takes the nearest away.
+    /// Takes the first away.
     #[inline(always)]
-    pub(super) fn take_nearest<S: Simd<F = F>>(&mut self, s: S) -> Option<Waiting> {
+    pub(super) fn take_first<S: Simd<F = F>>(&mut self, s: S) -> Option<Waiting> {
         let last = self.count.checked_sub(1)?;
-        let nearest = s.least(s.sub(s.splat(0.0), self.near));
-        let place = s.le(s.splat(-nearest), self.near).trailing_zeros() as usize % LANES;
+        let greatest = s.least(s.sub(s.splat(0.0), self.ranks));
+        let place = s.le(s.splat(-greatest), self.ranks).trailing_zeros() as usize % LANES;
         let taken = self.waiting[place];
         // The last one moves up.
         let last = last % LANES;
         self.waiting[place] = self.waiting[last];
-        let moved = s.splat(self.waiting[last].bounds.near);
-        self.near = s.select(1 << last, s.splat(-1.0), s.select(1 << place, moved, self.near));
+        let moved = s.splat(self.waiting[last].rank);
+        self.ranks = s.select(1 << last, s.splat(-1.0), s.select(1 << place, moved, self.ranks));
         self.count = last;
         Some(taken)
     }

@@ -92,6 +92,8 @@ impl<'a> Shadows<'a> {
 }
 
 impl<S: Simd> Targets<S> for Shadows<'_> {
+    const ANY: bool = true;
+
     #[inline(always)]
     fn least(&mut self, s: S) -> f32 {
         self.samples.least(s)

@@ -16,7 +16,7 @@ use super::triangles::{Bounds, Triangles};
 use crate::cluster::{CLUSTER_BYTES_MAX, Cluster};
 use crate::count::Count;
 use crate::grid::{
-    BoxFrame, Branch, ClusterRef, LEVELS_MAX, LeafContent, SpheresRef, cell_coordinates, flip_cells,
+    ALL_AXES, BoxFrame, Branch, ClusterRef, LEVELS_MAX, LeafContent, SpheresRef, cell_coordinates, flip_cells,
 };
 use crate::kinds::Kinds;
 use crate::memory::SceneMemory;
@@ -27,6 +27,9 @@ use crate::walk::Budget;
 
 /// What a beam looks for: the nearest triangle of every pixel, or any between samples and the light.
 pub(super) trait Targets<S: Simd> {
+    /// Whether any hit will do, not only the nearest.
+    const ANY: bool = false;
+
     /// What has a smaller inverse depth than this does not matter; infinite when nothing matters any more.
     fn least(&mut self, s: S) -> f32;
 
@@ -71,10 +74,22 @@ pub(super) fn walk<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>>(
         frame,
     };
     let (queue, far_queue, kinds) = (Queue::new(s), FarQueue::new(), PhantomData);
-    let mut walk =
-        Walk::<S, M, C, K, T> { s, scene, beam, targets, count, budget, leaves, queue, far_queue, kinds };
+    let is_from_afar = T::ANY && !scene.memory().is_all_at_hand();
+    let mut walk = Walk::<S, M, C, K, T> {
+        s,
+        scene,
+        beam,
+        targets,
+        count,
+        budget,
+        leaves,
+        queue,
+        far_queue,
+        is_from_afar,
+        kinds,
+    };
     walk.run()?;
-    walk.visit_nearer(f32::NEG_INFINITY)
+    walk.visit_before(f32::NEG_INFINITY)
 }
 
 /// A walk under way.
@@ -88,6 +103,10 @@ struct Walk<'a, S: Simd, M, C, K, T> {
     leaves: Leaves,
     queue: Queue<S::F>,
     far_queue: FarQueue,
+    /// Whether the beam is followed from its far end. Rays to the light start there, and mostly end soon, at what their own
+    /// surface is made of; so what is far from the light is tested first where pages may have to be fetched. Where none has, it
+    /// would take longer.
+    is_from_afar: bool,
     kinds: PhantomData<K>,
 }
 
@@ -108,7 +127,7 @@ struct Visit {
     branch: Branch,
     corner: Vec3,
     cell: f32,
-    /// Inner cells still to visit, flipped so that the lowest bit is about the nearest.
+    /// Inner cells still to visit, flipped so that the lowest bit is about the first.
     left: u64,
 }
 
@@ -116,7 +135,7 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, 
     #[inline(always)]
     fn run(&mut self) -> Result<(), Damaged> {
         let grid = self.scene.header().grid;
-        let flip = self.beam.frustum.flip;
+        let flip = self.flip();
         let mut visit = self.enter(0, grid.origin, grid.size * 0.25)?;
         let mut above = [visit; LEVELS_MAX];
         let mut depth = 0;
@@ -145,6 +164,18 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, 
         }
     }
 
+    /// Along which axes the walk goes backwards, as bits of a cell index.
+    #[inline(always)]
+    fn flip(&self) -> u32 {
+        if self.is_from_afar { self.beam.frustum.flip ^ ALL_AXES } else { self.beam.frustum.flip }
+    }
+
+    /// Of what has its nearest point at an inverse depth of `near`; what has a greater rank is tested first.
+    #[inline(always)]
+    pub(super) fn rank(&self, near: f32) -> f32 {
+        if self.is_from_afar { 1.0 / near } else { near }
+    }
+
     /// Whether anything in a cell may matter. If what it leads to may be far away, a closer look is taken.
     #[inline(always)]
     fn may_enter(&mut self, corner: Vec3, cell: f32, is_at_hand: bool) -> Result<bool, Damaged> {
@@ -156,7 +187,7 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, 
         let boxes = self.beam.projection.boxes(self.s, centre, half);
         let bounds = boxes.by_lane(self.s).of(0);
         if !is_at_hand {
-            self.visit_nearer(bounds.near)?;
+            self.visit_before(self.rank(bounds.near))?;
         }
         let least = self.targets.least(self.s);
         Ok(self.beam.projection.shows(self.s, &boxes, least) != 0
@@ -185,7 +216,7 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, 
             }
         }
         self.sift()?;
-        Ok(Visit { branch, corner, cell, left: flip_cells(entered & branch.inner, frustum.flip) })
+        Ok(Visit { branch, corner, cell, left: flip_cells(entered & branch.inner, self.flip()) })
     }
 
     /// Reads a leaf, or those of its list.
@@ -244,21 +275,22 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, 
                 half: each!(3: [0, 1, 2], axis => half[axis][lane]),
             };
             let place = self.leaves.clusters[lane];
-            self.enqueue(Waiting { place, bounds: bounds.of(lane), seen })?;
+            let bounds = bounds.of(lane);
+            self.enqueue(Waiting { place, bounds, seen, rank: self.rank(bounds.near) })?;
         }
         Ok(())
     }
 
-    /// Has a cluster wait, and visits the nearest if there is no room.
+    /// Has a cluster wait, and visits the first if there is no room.
     #[inline(always)]
     fn enqueue(&mut self, next: Waiting) -> Result<(), Damaged> {
         if !self.has_at_hand(&next.place) {
             return self.enqueue_far(next);
         }
         if self.queue.is_full()
-            && let Some(nearest) = self.queue.take_nearest(self.s)
+            && let Some(first) = self.queue.take_first(self.s)
         {
-            self.visit(&nearest)?;
+            self.visit(&first)?;
         }
         match spheres_of::<K>(&next.place) {
             Some(place) => self.scene.prefetch_spheres(&place),
@@ -279,7 +311,7 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, 
     /// Tests a cluster, unless by now it does not matter. Only here its page is touched; if that may be far away, it is
     /// looked at more closely whether it matters.
     #[inline(always)]
-    fn visit(&mut self, Waiting { place, bounds, seen }: &Waiting) -> Result<(), Damaged> {
+    fn visit(&mut self, Waiting { place, bounds, seen, .. }: &Waiting) -> Result<(), Damaged> {
         let seen = (!self.has_at_hand(place)).then_some(seen);
         if !self.targets.wants(self.s, bounds, seen) {
             return Ok(());

@@ -66,4 +66,8 @@ impl SceneMemory for Watched<'_> {
     fn is_at_hand(&self, offset: u64, _length: usize) -> bool {
         !self.is_far.get() || self.page(offset).is_some_and(Cell::get)
     }
+
+    fn is_all_at_hand(&self) -> bool {
+        !self.is_far.get()
+    }
 }

@@ -11,20 +11,21 @@ use crate::simd::{Part, Simd};
 use crate::view::Damaged;
 
 impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, C, K, T> {
-    /// Tests the clusters that wait and are nearer than an inverse depth of `near`.
+    /// Tests the clusters that wait and have a greater rank than this.
     #[inline(always)]
-    pub(super) fn visit_nearer(&mut self, near: f32) -> Result<(), Damaged> {
-        self.s.apart(VisitNearer { walk: self, near })
+    pub(super) fn visit_before(&mut self, rank: f32) -> Result<(), Damaged> {
+        self.s.apart(VisitBefore { walk: self, rank })
     }
 
-    /// Has a cluster wait whose page may be far away. If there is no room, what is as near as the nearest of those is visited.
+    /// Has a cluster wait whose page may be far away. If there is no room, what has no smaller rank than the first of those is
+    /// visited.
     #[inline(always)]
     pub(super) fn enqueue_far(&mut self, next: Waiting) -> Result<(), Damaged> {
         if self.far_queue.is_full()
-            && let Some(near) = self.far_queue.near()
+            && let Some(rank) = self.far_queue.first()
         {
-            // So that it is nearer itself.
-            self.visit_nearer(near.next_down())?;
+            // So that it is one of these itself.
+            self.visit_before(rank.next_down())?;
         }
         self.far_queue.push(next);
         Ok(())
@@ -37,12 +38,12 @@ impl<S: Simd, M: SceneMemory, C: Count, K: Kinds, T: Targets<S>> Walk<'_, S, M, 
     }
 }
 
-struct VisitNearer<'a, W> {
+struct VisitBefore<'a, W> {
     walk: &'a mut W,
-    near: f32,
+    rank: f32,
 }
 
-impl<S, M, C, K, T> Part<S> for VisitNearer<'_, Walk<'_, S, M, C, K, T>>
+impl<S, M, C, K, T> Part<S> for VisitBefore<'_, Walk<'_, S, M, C, K, T>>
 where
     S: Simd,
     M: SceneMemory,
@@ -54,11 +55,11 @@ where
 
     #[inline(always)]
     fn run(self, s: S) -> Result<(), Damaged> {
-        let Self { walk, near } = self;
+        let Self { walk, rank } = self;
         loop {
-            let far = walk.far_queue.near().filter(|far| *far > near);
-            let next = match walk.queue.take_nearer(s, far.unwrap_or(near)) {
-                None if far.is_some() => walk.far_queue.take_nearest(),
+            let far = walk.far_queue.first().filter(|far| *far > rank);
+            let next = match walk.queue.take_before(s, far.unwrap_or(rank)) {
+                None if far.is_some() => walk.far_queue.take_first(),
                 next => next,
             };
             match next {
