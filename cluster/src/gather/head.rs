@@ -1,7 +1,7 @@
 //! What stands before the bytes of a tile in a parcel: five to nine bytes, mostly.
 //!
 //! # Layout
-//! Numbers below are [varints](crate::varint); those that may be negative are folded.
+//! Numbers below are `varint`s; those that may be negative are folded.
 //! 1. The tile, less the one before it in the parcel.
 //! 2. A byte: the coding in the two lowest bits; then whether there are as many primary rays as in the tile before, and
 //!    whether any ray was damaged.

@@ -1,7 +1,7 @@
 //! The file of a trace.
 //!
 //! # Layout
-//! The 8 bytes `MSVTRACE`; then numbers, each a [varint](crate::varint); then the XXH3 checksum of everything before it, 8 bytes, little-endian.
+//! The 8 bytes `MSVTRACE`; then numbers, each a `varint`; then the XXH3 checksum of everything before it, 8 bytes, little-endian.
 //!
 //! ```text
 //! version = 1, page bytes, pages, nodes, width, height, frames,
