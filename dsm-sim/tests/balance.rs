@@ -112,15 +112,15 @@ fn displays_take_every_tile_in_parcels_and_never_more_than_credit_allows() {
         message_out: 200,
         message_in: 50,
     };
-    // A parcel holds three tiles, and a node may have two parcels under way.
+    // A parcel holds three tiles of 1024 bytes with heads of 8, and a node may have two parcels under way.
     let gather =
-        Gather { displays: 3, parcel_bytes: 3 * 1040 + 4, window_bytes: 7_000, ..Gather::new(costs) };
+        Gather { displays: 3, parcel_bytes: 3 * 1032 + 4, window_bytes: 7_000, ..Gather::new(costs) };
     for balancer in Balancer::ALL {
         let config = Config { gather: Some(gather), threads: 2, ..Config::new(4, balancer) };
         for frame in draw(&config, Case::Steady).frames {
             let talk = frame.talk;
             assert!(talk.parcels >= 256 / 3 && talk.parcels <= 256, "{balancer}: {talk:?}");
-            assert_eq!(talk.bytes, 256 * 1040 + 4 * talk.parcels, "{balancer}");
+            assert_eq!(talk.bytes, 256 * 1032 + 4 * talk.parcels, "{balancer}");
             let least = 256 * costs.tile_in + talk.parcels * costs.parcel_in;
             let taken = talk.sum() - talk.supervisor;
             assert!(
