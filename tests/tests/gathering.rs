@@ -23,8 +23,8 @@ fn what_stands_still_travels_once() {
     assert!(first.gather_bytes > 5_000 && first.gather_bytes < 250 * 190, "{}", first.gather_bytes);
     for frame in later {
         assert_eq!((frame.changed_tiles, &frame.image_hash), (0, &first.image_hash));
-        // Sixteen bytes a tile, and the head of a parcel, of which there are no more than tiles.
-        assert!(frame.gather_bytes <= (16 + 4) * 48, "{}", frame.gather_bytes);
+        // Twelve bytes a tile at most, and the head of a parcel, of which there are no more than tiles.
+        assert!(frame.gather_bytes <= (12 + 4) * 48, "{}", frame.gather_bytes);
     }
     assert_eq!(report.totals.gather_bytes, report.frames.iter().map(|frame| frame.gather_bytes).sum::<u64>());
 }
@@ -36,10 +36,12 @@ fn what_stands_still_travels_again_only_when_it_changes_hands() {
     run_well(&["session", "still", "--frames", "8", "--radius", "0.75", "-o", &file, "--quiet"]);
     let flags = ["knot:20000", "--nodes", "3", "--threads", "2", "--size", "250x190", "--session", &file];
     let report = render(&folder, &[&flags[..], &["--balance", "steal-near", "--displays", "2"]].concat());
-    for frame in &report.frames[1..] {
-        assert_eq!(frame.image_hash, report.frames[0].image_hash, "SAME_IMAGE");
-        // Each is dealt to the node that drew it last: whoever else draws it cannot know what the display has.
-        assert_eq!(frame.changed_tiles, u64::from(frame.moved_tiles));
+    for (before, frame) in report.frames.iter().zip(&report.frames[1..]) {
+        assert_eq!(frame.image_hash, before.image_hash, "SAME_IMAGE");
+        // Whoever did not draw a tile in the last frame cannot know what the display has: who has taken it from another now,
+        // and, where cores are shared, who had it taken then and has it back.
+        let moved_tiles = u64::from(before.moved_tiles) + u64::from(frame.moved_tiles);
+        assert!(frame.changed_tiles <= moved_tiles, "{} of {moved_tiles}", frame.changed_tiles);
     }
 }
 
