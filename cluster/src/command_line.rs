@@ -1,5 +1,7 @@
 //! `memsavvy render`, `prepare`, `info`, `session`, `trace`: flags, help, errors.
 
+mod values;
+
 use core::num::NonZeroU16;
 use core::time::Duration;
 use std::ffi::OsString;
@@ -11,10 +13,8 @@ use anyhow::{Context, Result, bail};
 use clap::builder::styling::{AnsiColor, Styles};
 use clap::{Args, Parser, Subcommand};
 use dsm_core::replacement::{PolicyKind, ReferenceSource};
-use fault_linux::BackendKind;
-use rt_core::image::{PAGE_BYTES_MAX, PAGE_BYTES_MIN};
 use rt_core::schedule::Balancer;
-use rt_core::{Kernel, Solver, TriangleTestKind};
+use rt_core::{Solver, TriangleTestKind};
 use scene::builtin::BuiltIn;
 use scene::volume::StoredType;
 use scene::{Info, SceneFile};
@@ -25,10 +25,11 @@ use crate::diagnostic::Diagnostic;
 use crate::output::{Destination, check_folder_of, write_whole};
 use crate::report::{RunReport, counted};
 use crate::run::{HIDDEN_PER_CENT, Kill, Options, Source, Surface, run};
-use crate::scene_source::{PAGE_BYTES_DEFAULT, Written};
+use crate::scene_source::Written;
 use crate::session::{Path, Replay, Session, Sweep, Way};
 use crate::size::{Bytes, Memory, PictureSize};
 use crate::trace::{self, Trace};
+use values::{Backend, ChosenKernel, backend, kernel, page_bytes, seconds, stored_type};
 
 /// Renders scenes larger than one machine's memory.
 ///
@@ -335,14 +336,6 @@ struct RecordTrace {
     quiet: bool,
 }
 
-/// A backend by name, or the best that there is.
-#[derive(Clone, Copy, Debug)]
-struct Backend(Option<BackendKind>);
-
-/// A kernel by name, or the fastest that the processor has.
-#[derive(Clone, Copy, Debug)]
-struct ChosenKernel(Option<Kernel>);
-
 const STYLES: Styles = Styles::styled()
     .header(AnsiColor::Green.on_default().bold())
     .usage(AnsiColor::Green.on_default().bold())
@@ -560,37 +553,6 @@ impl RecordTrace {
         }
         print(&format!("{}\nwrote {}", describe_trace(&trace), self.output.display()))
     }
-}
-
-fn stored_type(name: &str) -> Result<StoredType> {
-    StoredType::named(name).context("expected u8, u16 or f32")
-}
-
-fn page_bytes(text: &str) -> Result<u32> {
-    let Bytes(bytes) = text.parse()?;
-    match u32::try_from(bytes) {
-        Ok(bytes) if bytes.is_power_of_two() && (PAGE_BYTES_MIN..=PAGE_BYTES_MAX).contains(&bytes) => {
-            Ok(bytes)
-        }
-        _ => bail!("a page is a power of two from 4K to 2M, as in {}", Bytes(PAGE_BYTES_DEFAULT.into())),
-    }
-}
-
-fn backend(name: &str) -> Result<Backend> {
-    Ok(Backend(if name == "auto" { None } else { Some(name.parse()?) }))
-}
-
-fn kernel(name: &str) -> Result<ChosenKernel> {
-    Ok(ChosenKernel(if name == "auto" { None } else { Some(name.parse()?) }))
-}
-
-fn seconds(text: &str) -> Result<Duration> {
-    let seconds: f64 = text
-        .parse()
-        .ok()
-        .filter(|seconds| (0.001..=86_400.0).contains(seconds))
-        .context("expected seconds from 0.001 to 86400")?;
-    Ok(Duration::from_secs_f64(seconds))
 }
 
 /// Prints to standard output. That nobody reads it any more, as with `| head`, is no error.

@@ -94,7 +94,7 @@ impl Frames {
         let view = SceneView::new(Flat::new(&scene.image))?;
         let orbit = Orbit::around(&view.header().view);
         let session = camera.session(amount.frames, scene.radius)?;
-        let size = amount.size as usize;
+        let (size, kernel) = (amount.size as usize, Kernel::fastest());
         let mut frames =
             Self { name: scene.name.clone(), camera, size, pictures: Vec::new(), counts: Vec::new() };
         for (number, moment) in (0..).zip(session.moments()) {
@@ -102,7 +102,12 @@ impl Frames {
             let mut picture = vec![0; size * size];
             let mut of_tiles = |edge: usize| {
                 let tiles = frames.tiles(edge);
-                (edge, tiles.map(|(at, extent)| draw(&view, &frame, at, extent, &mut picture)).collect())
+                (
+                    edge,
+                    tiles
+                        .map(|(at, extent)| draw(&view, &frame, kernel, (at, extent), &mut picture))
+                        .collect(),
+                )
             };
             frames.counts.push(edges.iter().map(|edge| of_tiles(*edge)).collect());
             frames.pictures.push(picture);
@@ -159,8 +164,8 @@ impl Frames {
 fn draw(
     scene: &SceneView<Flat<'_>>,
     frame: &Frame,
-    at: [usize; 2],
-    extent: [usize; 2],
+    kernel: Kernel,
+    (at, extent): ([usize; 2], [usize; 2]),
     picture: &mut [u8],
 ) -> TileCounts {
     let [x, y, width, height] =
@@ -168,7 +173,7 @@ fn draw(
     let mut pixels = [0; (TILE_SIZE * TILE_SIZE) as usize];
     let pixels = &mut pixels[..extent[0] * extent[1]];
     let tile = Tile { x, y, width, height };
-    let counts = Draw::render_tile(scene, frame, tile, Kernel::fastest(), pixels);
+    let counts = Draw::render_tile(scene, frame, tile, kernel, pixels);
     for (line, from) in (at[1]..).zip(pixels.chunks_exact(extent[0])) {
         let start = line * frame.width as usize + at[0];
         picture[start..start + from.len()].copy_from_slice(from);

@@ -1,13 +1,15 @@
 //! A cluster, its network, and the operations on them.
 
-use core::hash::{Hash, Hasher};
+mod checks;
+mod fingerprint;
+
+use core::hash::Hash;
 use std::collections::BTreeMap;
-use std::collections::hash_map::DefaultHasher;
 
 use rt_core::TileId;
 use rt_core::schedule::ledger::{self, Arrival};
 use rt_core::schedule::message::{Body, MESSAGE_BYTES_MAX};
-use rt_core::schedule::worker::{self, TileState};
+use rt_core::schedule::worker;
 use rt_core::schedule::{Balancer, Ledger, Message, PageMap, Stamp, Worker};
 
 use crate::member::{Member, Memory};
@@ -208,63 +210,6 @@ impl<'m> World<'m> {
             !self.under_way[..*index].contains(packet)
         };
         (0..self.under_way.len()).filter(is_first).filter_map(|index| u8::try_from(index).ok()).collect()
-    }
-
-    /// Whether nothing is under way that will not be refused whenever it arrives.
-    #[must_use]
-    pub fn is_quiet(&self) -> bool {
-        self.under_way.iter().all(|packet| self.packet_fingerprint(packet).is_none())
-    }
-
-    /// A number that two worlds have in common when whatever happens to both leads to the same: moments count as distances
-    /// from now, questions and gifts have no numbers but are news or not, and the order of what is under way does not
-    /// matter; what will be refused whenever it arrives does not count. For worlds in which nobody comes back.
-    #[must_use]
-    pub fn fingerprint(&self) -> u64 {
-        let mut hasher = DefaultHasher::new();
-        let mut packets: Vec<u64> =
-            self.under_way.iter().filter_map(|packet| self.packet_fingerprint(packet)).collect();
-        packets.sort_unstable();
-        (packets, &self.begun, &self.shown).hash(&mut hasher);
-        self.ledger.fingerprint(self.now_us, &mut hasher);
-        for member in &self.members {
-            member.is_alive().hash(&mut hasher);
-            let mut drawing = member.drawing.clone();
-            drawing.sort_unstable();
-            drawing.hash(&mut hasher);
-            member.worker.iter().for_each(|worker| worker.fingerprint(self.now_us, &mut hasher));
-        }
-        hasher.finish()
-    }
-
-    fn packet_fingerprint(&self, packet: &Packet) -> Option<u64> {
-        let mut hasher = DefaultHasher::new();
-        let (message, _) = Message::parse(&packet.bytes).expect("what was sent parses");
-        let worker =
-            |node: u16| self.members.get(usize::from(node)).and_then(|member| member.worker.as_ref());
-        let is_for_display = packet.to == self.setup.display();
-        if !is_for_display && worker(packet.to).is_none_or(|worker| is_void(worker, &message)) {
-            return None;
-        }
-        let is_news = worker(packet.to).map(|worker| worker.is_news(&message));
-        (packet.to, message.from, message.stamp, is_news).hash(&mut hasher);
-        match &message.body {
-            Body::Deal { number, tiles } => (0u8, number, tiles).hash(&mut hasher),
-            Body::Give { left_us, gifts, .. } => {
-                (1u8, left_us).hash(&mut hasher);
-                gifts.iter().for_each(|gift| (gift.tile, gift.cost_us, gift.map).hash(&mut hasher));
-            }
-            // The display's deals have few numbers.
-            Body::Taken { number } => (2u8, is_news.is_none().then_some(number)).hash(&mut hasher),
-            Body::Ask { number, map, waits } => {
-                let is_awaited = worker(message.from).is_some_and(|asker| asker.awaits(*number));
-                (3u8, is_awaited, map, waits).hash(&mut hasher);
-            }
-            Body::Nothing { left_us, map, busiest, .. } => (4u8, left_us, map, busiest).hash(&mut hasher),
-            Body::Drawn { tile, cost_us } => (5u8, tile, cost_us).hash(&mut hasher),
-            Body::Shown { tiles } => (6u8, tiles).hash(&mut hasher),
-        }
-        Some(hasher.finish())
     }
 
     /// Tells of all deaths, delivers everything, draws everything and lets time pass until the frame is whole and nobody
@@ -552,67 +497,6 @@ impl<'m> World<'m> {
         let length = message.emit(&mut buffer);
         self.under_way.push(Packet { to, bytes: buffer[..length].to_vec() });
     }
-
-    fn check(&self) {
-        self.ledger.check_invariants();
-        self.members.iter().filter_map(|member| member.worker.as_ref()).for_each(Worker::check_invariants);
-        let is_whole = self.ledger.missing() == 0;
-        assert!(
-            !is_whole || self.shown.iter().all(|shown| *shown == 1),
-            "EXACTLY_ONCE: a whole frame lacks a tile"
-        );
-        self.check_no_lost_tile();
-    }
-
-    fn check_no_lost_tile(&self) {
-        let unnoticed = |node: usize| {
-            !self.members[node].is_alive() && self.ledger.is_up(u16::try_from(node).unwrap_or(0))
-        };
-        if (0..self.members.len()).any(unnoticed) {
-            // It may have died with its node; it is dealt anew when somebody says so.
-            return;
-        }
-        let stamp = self.ledger.stamp();
-        for tile in self.setup.tiles().ids().filter(|tile| !self.ledger.is_shown(*tile)) {
-            let has = |worker: &Worker<'_>| {
-                let Some(mine) = worker.stamp().filter(|mine| mine.frame == stamp.frame) else {
-                    return false;
-                };
-                match worker.state(tile) {
-                    Some(TileState::Drawing | TileState::Drawn { .. }) => true,
-                    Some(TileState::Queued | TileState::Given) => mine == stamp,
-                    _ => false,
-                }
-            };
-            let is_held = self.members.iter().filter_map(|member| member.worker.as_ref()).any(has);
-            let is_coming = || self.under_way.iter().any(|packet| self.brings(packet, tile));
-            assert!(
-                self.ledger.keeps(tile) || is_held || is_coming(),
-                "NO_LOST_TILE: nobody has {tile:?} of {stamp:?}"
-            );
-        }
-    }
-
-    /// Whether a packet brings a tile of this frame to the display.
-    fn brings(&self, packet: &Packet, tile: TileId) -> bool {
-        let parsed = Message::parse(&packet.bytes);
-        parsed.is_ok_and(|(message, _)| {
-            let is_it = matches!(message.body, Body::Drawn { tile: other, .. } if other == tile);
-            is_it && message.stamp.frame == self.ledger.stamp().frame
-        })
-    }
-}
-
-/// Whether a node will refuse a message whenever it arrives: it is of a view that is over, or answers what does not wait for
-/// an answer any more.
-fn is_void(worker: &Worker<'_>, message: &Message) -> bool {
-    let Some(stamp) = worker.stamp() else { return false };
-    let is_over = match message.body {
-        Body::Shown { .. } => message.stamp.frame < stamp.frame,
-        _ => message.stamp < stamp,
-    };
-    let is_answer = matches!(message.body, Body::Taken { .. } | Body::Nothing { .. } | Body::Ask { .. });
-    is_over || is_answer && message.stamp == stamp && !worker.is_news(message)
 }
 
 /// More rounds than any frame needs.

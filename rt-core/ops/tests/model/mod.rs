@@ -89,9 +89,9 @@ impl Cluster {
         budget: Budget { losses: 1, crashes: 1, ..Budget::NONE },
         ..Self::TILE_LOSS
     };
-    /// What is left under way of a frame when the next begins.
     /// Nodes share cores: who has nothing waits before it asks.
     pub(crate) const SHARED_CORES: Self = Self { shares_cores: true, ..Self::DEATH };
+    /// What is left under way of a frame when the next begins.
     pub(crate) const TWO_FRAMES: Self = Self { frames: 2, tiles: 2, ..Self::DOUBLE };
 }
 
